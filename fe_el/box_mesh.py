@@ -1,0 +1,42 @@
+"""Boxes of simplices with tagged sides, for scripts."""
+import numpy as np
+from dolfinx import mesh as dmesh
+from mpi4py import MPI
+
+SIDES = {"x-": 1, "x+": 2, "y-": 3, "y+": 4, "z-": 5, "z+": 6}
+
+
+def box(lengths, cells, comm=MPI.COMM_WORLD):
+    """A rectangle (crossed triangles) or box (tetrahedra) from the origin.
+
+    Args:
+        lengths: 2 or 3 edge lengths [m].
+        cells: squares or cubes per direction.
+
+    Returns:
+        (mesh, facet_tags): the sides x-, x+, y-, y+, z-, z+ have the tags 1 to 6.
+
+    Raises:
+        ValueError: for lengths or numbers that are not positive.
+
+    Note:
+        Collective.
+    """
+    d = len(lengths)
+    if d not in (2, 3) or len(cells) != d or min(lengths) <= 0 or min(cells) < 1:
+        raise ValueError(f"The box has lengths {list(lengths)} and cells {list(cells)}; give 2 or 3 positive numbers each.")
+    corners = [np.zeros(d), np.asarray(lengths, float)]
+    if d == 2:
+        mesh = dmesh.create_rectangle(comm, corners, cells, dmesh.CellType.triangle,
+                                      diagonal=dmesh.DiagonalType.crossed)
+    else:
+        mesh = dmesh.create_box(comm, corners, cells, dmesh.CellType.tetrahedron)
+    facets, values = [], []
+    for k in range(d):
+        for side, at in enumerate((0.0, lengths[k])):
+            found = dmesh.locate_entities_boundary(mesh, d - 1, lambda x: np.isclose(x[k], at, atol=1e-10 * lengths[k]))
+            facets.append(found)
+            values.append(np.full(len(found), 2 * k + side + 1, np.int32))
+    facets, values = np.concatenate(facets), np.concatenate(values)
+    order = np.argsort(facets, kind="stable")
+    return mesh, dmesh.meshtags(mesh, d - 1, facets[order], values[order])

@@ -1,0 +1,1 @@
+"""The coupling: particles to cell fields, and the forces back to particles."""

@@ -1,0 +1,52 @@
+"""Cell means of a fluid's fields: from its own Functions, whatever their elements."""
+import numpy as np
+import ufl
+from dolfinx import fem
+
+
+class CellMean:
+    """Means over the cells of a dolfinx expression (scalar or vector) [its units].
+
+    A DG0 Function is read directly; anything else is integrated with one compiled form per component.
+    """
+
+    def __init__(self, mesh, expression, components):
+        self.cells, self.components = mesh.topology.index_map(mesh.topology.dim).size_local, components
+        self.direct = None
+        if isinstance(expression, fem.Function):
+            element = expression.function_space.ufl_element()
+            if element.family() == "Discontinuous Lagrange" and element.degree() == 0:
+                self.direct = expression
+                return
+        space = fem.FunctionSpace(mesh, ("DG", 0))
+        w = ufl.TestFunction(space)
+        parts = [expression[k] for k in range(components)]
+        self.forms = [fem.form(part * w * ufl.dx) for part in parts]
+        self.volume = fem.petsc.assemble_vector(fem.form(w * ufl.dx(mesh))).array.copy()
+
+    def __call__(self):
+        """(owned cells, components)."""
+        if self.direct is not None:
+            return self.direct.x.array.reshape(-1, self.components)[:self.cells]
+        return np.column_stack([fem.petsc.assemble_vector(f).array / self.volume for f in self.forms])
+
+
+class PressureGradientMean:
+    """Cell means of grad p: exact and without a form for P1 pressure."""
+
+    def __init__(self, mesh, pressure, barycentric):
+        element, d = pressure.function_space.ufl_element(), mesh.topology.dim
+        self.pressure, self.d = pressure, d
+        n = mesh.topology.index_map(d).size_local
+        self.general = None
+        if element.family() == "Lagrange" and element.degree() == 1:
+            self.dofs = pressure.function_space.dofmap.list.array.reshape(-1, d + 1)[:n]
+            self.gradient = barycentric[:n, :, :d]
+        else:
+            self.general = CellMean(mesh, ufl.grad(pressure), d)
+
+    def __call__(self):
+        """(owned cells, d) [Pa/m]."""
+        if self.general is not None:
+            return self.general()
+        return np.einsum("cik,ci->ck", self.gradient, self.pressure.x.array[self.dofs])

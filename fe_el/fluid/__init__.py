@@ -1,0 +1,1 @@
+"""The fluid: volume-averaged Navier-Stokes equations on simplices."""

@@ -1,0 +1,97 @@
+"""PETSc matrices filled from element matrices, and Krylov solvers that reuse their preconditioner while it is good."""
+import ctypes
+
+import numpy as np
+from petsc4py import PETSc
+
+_petsc = ctypes.CDLL(PETSc.__file__)
+_petsc.MatSetPreallocationCOO.argtypes = [ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_void_p, ctypes.c_void_p]
+_petsc.MatSetValuesCOO.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int]
+
+
+class SolverDiverged(RuntimeError):
+    """A linear solver did not converge."""
+
+
+class ElementMatrix:
+    """Square sparse matrix that is the sum of element matrices (cells, m, m) on the nodes of a P1 space."""
+
+    def __init__(self, space, dofs):
+        index_map = space.dofmap.index_map
+        self.matrix = PETSc.Mat().create(space.mesh.comm)
+        self.matrix.setSizes(((index_map.size_local, None), (index_map.size_local, None)))
+        self.matrix.setType("aij")
+        number = index_map.local_to_global(dofs.ravel().astype(np.int32)).astype(PETSc.IntType).reshape(dofs.shape)
+        m = dofs.shape[1]
+        rows, columns = np.repeat(number, m, 1).ravel(), np.tile(number, (1, m)).ravel()
+        self.values = np.zeros((len(dofs), m, m))
+        self._check(_petsc.MatSetPreallocationCOO(self.matrix.handle, rows.size, rows.ctypes.data, columns.ctypes.data))
+
+    def assemble(self):
+        """Sum ``values`` into the matrix."""
+        self._check(_petsc.MatSetValuesCOO(self.matrix.handle, self.values.ctypes.data, int(PETSc.InsertMode.INSERT_VALUES)))
+
+    @staticmethod
+    def _check(code):
+        if code:
+            raise RuntimeError(f"PETSc failed with error code {code} while filling a matrix.")
+
+
+class LinearSolver:
+    """Krylov solver of one matrix.
+
+    Args:
+        matrix: PETSc matrix.
+        name (str): what is solved, for errors and the PETSc options prefix ``name_``.
+        method, preconditioner (str): PETSc types.
+        tolerance (float): relative residual.
+        constant_nullspace (bool): whether the constant is in the kernel.
+    """
+
+    def __init__(self, matrix, name, method, preconditioner, tolerance, constant_nullspace=False):
+        self.matrix, self.name, self.fresh, self.best = matrix, name, False, None
+        self.ksp = PETSc.KSP().create(matrix.comm)
+        self.ksp.setOptionsPrefix(name + "_")
+        self.ksp.setOperators(matrix)
+        self.ksp.setType(method)
+        self.ksp.getPC().setType(preconditioner)
+        self.ksp.setTolerances(rtol=tolerance, atol=1e-300, max_it=500)
+        self.ksp.setInitialGuessNonzero(True)
+        self.nullspace = PETSc.NullSpace().create(constant=True, comm=matrix.comm) if constant_nullspace else None
+        if self.nullspace:
+            matrix.setNullSpace(self.nullspace)
+        self.ksp.setFromOptions()
+        self.x, self.b = matrix.createVecs()
+        self.iterations = 0
+
+    def new_values(self):
+        """Say that the matrix has new values: the preconditioner is renewed once it costs twice the iterations."""
+        stale = self.best is not None and self.iterations > 2 * self.best + 2
+        self.ksp.getPC().setReusePreconditioner(self.best is not None and not stale)
+        self.ksp.setOperators(self.matrix)
+        if stale:
+            self.best = None
+
+    def solve(self, rhs, guess):
+        """Solve for owned entries.
+
+        Raises:
+            SolverDiverged: with the reason and the last residual norms.
+        """
+        self.b.array[:], self.x.array[:] = rhs, guess
+        if self.nullspace:
+            self.nullspace.remove(self.b)
+        self.ksp.solve(self.b, self.x)
+        if self.ksp.getConvergedReason() < 0 and self.best is not None:  # once more with a fresh preconditioner
+            self.ksp.getPC().setReusePreconditioner(False)
+            self.ksp.setOperators(self.matrix)
+            self.x.array[:] = guess
+            self.ksp.solve(self.b, self.x)
+        reason = self.ksp.getConvergedReason()
+        self.iterations = self.ksp.getIterationNumber()
+        if reason < 0 or not np.isfinite(self.x.array).all():
+            raise SolverDiverged(f"The {self.name} solve failed (PETSc reason {reason}) after {self.iterations} iterations "
+                                 f"with residual {self.ksp.getResidualNorm():g} for a right-hand side of "
+                                 f"{self.b.norm():g}. Use a smaller time step or check the void fraction and drag fields.")
+        self.best = self.iterations if self.best is None else self.best
+        return self.x.array

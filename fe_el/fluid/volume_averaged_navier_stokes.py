@@ -1,0 +1,314 @@
+"""The volume-averaged Navier-Stokes equations, model A, by a cell-node scheme on simplices."""
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+
+from fe_el.exchange import Halo
+from fe_el.fluid import kernels
+from fe_el.fluid.boundary_conditions import BoundaryFacets, velocity_at
+from fe_el.fluid.linear_solver import ElementMatrix, LinearSolver
+from fe_el.mesh import barycentric_maps, check_simplices, owned_corners
+
+
+class VolumeAveragedNavierStokes:
+    """Flow of a fluid through the void fraction phi left by particles (model A).
+
+        d(rho phi)/dt + div(rho phi u) = 0
+        d(rho phi u)/dt + div(rho phi u u) = -phi grad p + phi div tau - A u + B + rho phi g
+
+    One velocity vector per cell carries the momentum; a nodal P1 velocity transports it; the pressure is P1. Drag A and
+    pressure are solved together, so any drag, and any jump of it between cells, is stable.
+
+    Args:
+        mesh: dolfinx mesh of triangles or tetrahedra.
+        facet_tags: boundary groups (dolfinx MeshTags of facets); absent: every boundary is a slip wall.
+        density (float): rho [kg/m^3].
+        viscosity (float): dynamic viscosity mu [Pa s].
+        gravity: acceleration [m/s^2]; absent: none.
+        tolerance (float): relative residual of the linear solvers.
+
+    Attributes:
+        velocity: DG0 vector Function, interstitial velocity u [m/s].
+        pressure: P1 Function [Pa].
+
+    Raises:
+        ValueError: for cells that are not simplices, a density or viscosity out of range, or an unknown boundary group.
+
+    Note:
+        Collective.
+    """
+
+    def __init__(self, mesh, facet_tags=None, density=1.2, viscosity=1.8e-5, gravity=None, tolerance=1e-8):
+        check_simplices(mesh)
+        if not (density > 0 and np.isfinite(density)):
+            raise ValueError(f"The fluid density is {density}; it must be finite and greater than zero [kg/m^3].")
+        if not (viscosity >= 0 and np.isfinite(viscosity)):
+            raise ValueError(f"The fluid viscosity is {viscosity}; it must be finite and not negative [Pa s].")
+        self.mesh, self.comm, self.dimension = mesh, mesh.comm, mesh.topology.dim
+        self.facet_tags, self.density, self.viscosity, self.tolerance = facet_tags, density, viscosity, tolerance
+        d = self.dimension
+        self.gravity = np.zeros(d) if gravity is None else np.asarray(gravity, float)[:d].copy()
+        self.space = fem.FunctionSpace(mesh, ("CG", 1))
+        self.velocity = fem.Function(fem.VectorFunctionSpace(mesh, ("DG", 0)), name="velocity")
+        self.pressure = fem.Function(self.space, name="pressure")
+        self.corner, _ = owned_corners(mesh)
+        barycentric, self.volume = barycentric_maps(self.corner, d)
+        self.gradient = np.ascontiguousarray(barycentric[:, :, :d])
+        n = self.num_cells = len(self.volume)
+        self.dofs = np.ascontiguousarray(self.space.dofmap.list.array.reshape(-1, d + 1)[:n].astype(np.int32))
+        index_map = self.space.dofmap.index_map
+        self.nodes, self.owned_nodes = index_map.size_local + index_map.num_ghosts, index_map.size_local
+        self.node_halo = Halo.of_index_map(self.comm, index_map)
+        self.h = self.volume ** (1 / d) * (2 ** 0.5 if d == 2 else 6 ** (1 / 3))
+        self.nodal_velocity, self.force = None, np.zeros((self.nodes, d))
+        self.void_fraction, self.rate = None, np.zeros(n)
+        self.time, self.step = 0.0, 0
+        self.inlets, self.outlets, self.no_slip, self.slip = [], [], [], []
+        self.body_force = np.zeros(d)
+        self._poisson = None
+        self.node_position = np.zeros((self.nodes, 3))
+        self.node_position[self.dofs] = self.corner
+        self.node_halo.forward(self.node_position)
+
+    # -- boundary conditions -----------------------------------------------------------------------------------------
+
+    def _facets(self, group):
+        if self.facet_tags is None:
+            raise ValueError(f"Boundary group {group} was named, but no facet_tags were given; pass facet_tags=.")
+        self._poisson = None
+        return BoundaryFacets(self.mesh, self.facet_tags, group, self.dofs, self.corner, self.gradient, self.volume,
+                              self.node_halo, self.nodes)
+
+    def set_velocity(self, group, value):
+        """Superficial velocity on an inlet: d numbers, or a function (time, position (points, 3)) -> (points, d)."""
+        facets = self._facets(group)
+        velocity_at(value, 0.0, facets.centre, self.dimension)
+        self.inlets.append((facets, value))
+
+    def set_pressure(self, group, value=0.0):
+        """Pressure on an outlet [Pa]: a number or a function of time. Fluid may enter there without bringing energy."""
+        if not callable(value) and not np.isfinite(value):
+            raise ValueError(f"The pressure is {value}; it must be finite [Pa].")
+        self.outlets.append((self._facets(group), value))
+
+    def set_no_slip(self, group):
+        """No-slip wall."""
+        self.no_slip.append(self._facets(group))
+
+    def set_slip(self, group):
+        """Slip wall: no flow through it and no friction."""
+        facets = self._facets(group)
+        normal = np.zeros((self.nodes, self.dimension))
+        np.add.at(normal, facets.facet_nodes, facets.area_normal[:, None])
+        self.node_halo.forward(self.node_halo.reverse_add(normal))
+        length = np.linalg.norm(normal, axis=1)
+        self.slip.append((facets.nodes, (normal / np.maximum(length, 1e-300)[:, None])[facets.nodes]))
+
+    def set_initial_velocity(self, value):
+        """Interstitial velocity at the start: d numbers, or a function (time, position) as for inlets."""
+        v = velocity_at(value, self.time, self.corner.mean(1), self.dimension)
+        self.velocity.x.array.reshape(-1, self.dimension)[:self.num_cells] = v
+        self.velocity.x.scatter_forward()
+        self.nodal_velocity = None
+
+    def _setup(self):
+        """Matrices, solvers and fixed nodes, once the boundary conditions are known."""
+        self._poisson = ElementMatrix(self.space, self.dofs)
+        self._transport = ElementMatrix(self.space, self.dofs)
+        closed = not self.outlets
+        self.pressure_solver = LinearSolver(self._poisson.matrix, "pressure", "cg", "hypre", self.tolerance, closed)
+        self.transport_solver = LinearSolver(self._transport.matrix, "transport", "bcgs", "jacobi", self.tolerance)
+        self.fixed, self.fixed_pressure = np.zeros(self.nodes, bool), np.zeros(self.nodes, bool)
+        for facets in [f for f, _ in self.inlets] + self.no_slip:
+            self.fixed[facets.nodes] = True
+        for facets, _ in self.outlets:
+            self.fixed_pressure[facets.nodes] = True
+        self.boundary_velocity = np.zeros((self.nodes, self.dimension))
+        if closed and self.inlets:
+            flux = self.comm.allreduce(sum(float((velocity_at(v, 0.0, f.centre, self.dimension) * f.area_normal).sum())
+                                           for f, v in self.inlets))
+            total = self.comm.allreduce(sum(float(np.abs(velocity_at(v, 0.0, f.centre, self.dimension) * f.area_normal)
+                                                  .sum()) for f, v in self.inlets))
+            if abs(flux) > 1e-9 * max(total, 1e-300):
+                raise ValueError(f"The inlets let {-flux:g} m^3/s into a domain without outlet; add set_pressure(group).")
+
+    # -- one step ------------------------------------------------------------------------------------------------------
+
+    def advance(self, dt, fields=None):
+        """Advance by ``dt`` [s].
+
+        Args:
+            fields: (void fraction, drag coefficient A, momentum source B): two DG0 Functions and a DG0 vector Function,
+                for instance ``Coupling.fields``; absent: single-phase flow.
+
+        Raises:
+            SolverDiverged: if a linear solver fails.
+            ValueError: for a void fraction that is not positive.
+
+        Note:
+            Collective.
+        """
+        if not (dt > 0 and np.isfinite(dt)):
+            raise ValueError(f"The time step is {dt}; it must be finite and greater than zero [s].")
+        if self._poisson is None:
+            self._setup()
+        n, d = self.num_cells, self.dimension
+        if fields is None:
+            phi, drag, source = np.ones(n), np.zeros(n), np.zeros((n, d))
+        else:
+            phi, drag = fields[0].x.array[:n].copy(), fields[1].x.array[:n]
+            source = fields[2].x.array.reshape(-1, d)[:n]
+            if n and not phi.min() > 0:
+                raise ValueError(f"The void fraction of cell {int(np.argmin(phi))} on rank {self.comm.rank} is "
+                                 f"{phi.min():g}; it must be positive. Use larger cells or smoothing.")
+        phi0 = phi if self.void_fraction is None else self.void_fraction
+        rate0, self.rate = self.rate, (phi - phi0) / dt
+        self.time, self.step = self.time + dt, self.step + 1
+        q = self.velocity.x.array.reshape(-1, d)[:n].copy()
+        u = self._relax(phi0, q)
+        self._boundary_values(phi)
+        nodal = self._transport_step(dt, phi0, phi, rate0, q, u)
+        transported = self._fade(dt, phi0, phi, q, u)
+        self._exchange(dt, phi, drag, source, nodal, transported)
+        self.void_fraction, self.dt = phi, dt
+
+    def _sum(self, shape):
+        return np.zeros((self.nodes, *shape))
+
+    def _complete(self, *sums):
+        """Make nodal sums of owned cells complete on every rank."""
+        for a in sums:
+            self.node_halo.forward(self.node_halo.reverse_add(a))
+
+    def _relax(self, phi0, q):
+        """Stage 1: u <- u + P(q - mean u) moves the nodes towards the least-squares fit of the cells."""
+        d = self.dimension
+        self.cell_mass0 = self.density * phi0 * self.volume
+        self.mass0, misfit = self._sum(()), self._sum((d,))
+        start = self._sum((d,)) if self.nodal_velocity is None else self.nodal_velocity
+        kernels.mass_and_misfit(self.dofs, self.cell_mass0, q, start, self.mass0, misfit)
+        self._complete(self.mass0, misfit)
+        u = start + misfit / self.mass0[:, None]
+        self._impose(u)
+        return u
+
+    def _boundary_values(self, phi):
+        """Interstitial velocities of the fixed nodes at the new time; walls win over inlets."""
+        d = self.dimension
+        for facets, value in self.inlets:
+            void, number = self._sum(()), self._sum(())
+            np.add.at(void, facets.facet_nodes, phi[facets.cell][:, None])
+            np.add.at(number, facets.facet_nodes, 1.0)
+            self._complete(void, number)
+            k = facets.nodes
+            self.boundary_velocity[k] = velocity_at(value, self.time, self.node_position[k], d) * (number[k] / void[k])[:, None]
+        for facets in self.no_slip:
+            self.boundary_velocity[facets.nodes] = 0.0
+
+    def _impose(self, u):
+        for nodes, normal in self.slip:
+            u[nodes] -= normal * (u[nodes] * normal).sum(1)[:, None]
+        u[self.fixed] = self.boundary_velocity[self.fixed]
+
+    def _transport_step(self, dt, phi0, phi, rate0, q, u):
+        """Stage 2: convection and viscosity of the nodal velocity, implicit, skew-symmetric, conserving momentum."""
+        d, values = self.dimension, self._transport.values
+        kernels.transport_matrix(self.dofs, self.gradient, self.volume, self.density, self.viscosity, dt, phi0, phi, rate0,
+                                 q, values)
+        for facets, _ in self.outlets:
+            kernels.open_boundary(facets.cell, facets.local, facets.area_normal, self.density, phi0, q, values)
+        rhs = self.mass0[:, None] * u / dt + self.force
+        elements, lift = values.copy(), self._sum((d,))
+        kernels.fix_rows(self.dofs, self.fixed, values, lift, self.boundary_velocity)
+        self.node_halo.reverse_add(lift)
+        self._transport.assemble()
+        self.transport_solver.new_values()
+        own = self.owned_nodes
+        diagonal = self._transport.matrix.getDiagonal().array
+        system = rhs[:own] + lift[:own]
+        new = u.copy()
+        system[self.fixed[:own]] = (diagonal[:, None] * self.boundary_velocity[:own])[self.fixed[:own]]
+        for k in range(d):
+            new[:own, k] = self.transport_solver.solve(system[:, k], u[:own, k])
+        self.node_halo.forward(new)
+        # one evaluation of the fluxes at the solution makes the balance exact whatever the solver's tolerance
+        self.cell_mass = self.density * phi * self.volume
+        self.mass = self._sum(())
+        kernels.scatter(self.dofs, self.cell_mass[:, None], self.mass[:, None])
+        balance = self._sum((d,))
+        kernels.apply_elements(self.dofs, elements, new, balance)
+        self._complete(self.mass, balance)
+        exact = new + dt * (rhs + balance) / self.mass[:, None]
+        exact[self.fixed] = new[self.fixed]
+        self._impose(exact)
+        return exact - dt * self.force / self.mass[:, None]
+
+    def _fade(self, dt, phi0, phi, q, u):
+        """What the nodes cannot represent fades at the rate of convection and viscosity; its momentum is kept."""
+        d = self.dimension
+        kept, defect = np.empty_like(q), self._sum((d,))
+        kernels.memory(self.dofs, self.cell_mass0, self.cell_mass, q, u, self.h, dt, self.viscosity / self.density, kept,
+                       defect)
+        self._complete(defect)
+        self._correction = defect / self.mass[:, None]
+        return kept
+
+    def _exchange(self, dt, phi, drag, source, nodal, transported):
+        """Stage 3: drag and pressure together; an exact projection with the drag on the diagonal."""
+        n, d, own = self.num_cells, self.dimension, self.owned_nodes
+        q, diagonal, rhs = np.empty((n, d)), np.empty(n), self._sum(())
+        kernels.exchange_system(self.dofs, self.gradient, self.volume, self.density, dt, phi, self.rate, drag, source,
+                                self.gravity + self.body_force / self.density, nodal, self._correction, transported, q,
+                                diagonal, self._poisson.values, rhs)
+        self.inflow = self._sum(())
+        for facets, value in self.inlets:
+            flux = (velocity_at(value, self.time, facets.centre, d) * facets.area_normal).sum(1)
+            np.add.at(self.inflow, facets.facet_nodes, -flux[:, None] / d)
+        rhs += self.inflow
+        values, lift, p = self._poisson.values, self._sum((1,)), self.pressure.x.array
+        boundary = self._sum((1,))
+        for facets, value in self.outlets:
+            boundary[facets.nodes, 0] = value(self.time) if callable(value) else value
+        kernels.fix_rows(self.dofs, self.fixed_pressure, values, lift, boundary)
+        rhs += lift[:, 0]
+        self.node_halo.reverse_add(rhs)
+        self._poisson.assemble()
+        self.pressure_solver.new_values()
+        fixed = self.fixed_pressure[:own]
+        rhs[:own][fixed] = (self._poisson.matrix.getDiagonal().array * boundary[:own, 0])[fixed]
+        p[:own] = self.pressure_solver.solve(rhs[:own], p[:own])
+        self.pressure.x.scatter_forward()
+        change = self._sum((d,))
+        kernels.pressure_step(self.dofs, self.gradient, self.volume, self.density, dt, phi, diagonal, p, transported, q,
+                              change)
+        self._complete(change)
+        self.velocity.x.array.reshape(-1, d)[:n] = q
+        self.velocity.x.scatter_forward()
+        self.nodal_velocity = nodal + dt * change / self.mass[:, None]
+        self._impose(self.nodal_velocity)
+        self.force = change
+
+    # -- ledger ------------------------------------------------------------------------------------------------------
+
+    def mass_residual(self):
+        """Largest nodal residual of continuity over the largest flux through a node (outlets left out)."""
+        d = self.dimension
+        residual, scale = self._sum(()), self._sum(())
+        q = self.velocity.x.array.reshape(-1, d)[:self.num_cells]
+        kernels.mass_balance(self.dofs, self.gradient, self.volume, self.void_fraction, self.rate, q, residual, scale)
+        residual += self.inflow
+        self._complete(residual, scale)
+        residual[self.fixed_pressure] = 0.0
+        largest = self.comm.allreduce(np.abs(residual).max(initial=0.0), op=MPI.MAX)
+        return largest / max(self.comm.allreduce(scale.max(initial=0.0), op=MPI.MAX), 1e-300)
+
+    def momentum(self):
+        """Total fluid momentum (d,) [kg m/s]."""
+        phi = np.ones(self.num_cells) if self.void_fraction is None else self.void_fraction
+        q = self.velocity.x.array.reshape(-1, self.dimension)[:self.num_cells]
+        return self.comm.allreduce((self.density * phi * self.volume) @ q)
+
+    def courant(self, dt):
+        """Largest Courant number |u| dt / h."""
+        q = self.velocity.x.array.reshape(-1, self.dimension)[:self.num_cells]
+        return self.comm.allreduce(dt * (np.linalg.norm(q, axis=1) / self.h).max(initial=0.0), op=MPI.MAX)

@@ -1,0 +1,116 @@
+"""Time loop with progress, ParaView output and summary.json."""
+import importlib.metadata
+import json
+import sys
+from pathlib import Path
+
+import meshio
+import numpy as np
+from mpi4py import MPI
+from tqdm import tqdm
+
+from fe_el.mesh import owned_corners
+
+
+def time_steps(dt, end_time, start=0.0, comm=MPI.COMM_WORLD, progress=True):
+    """Yield the times start + dt, start + 2 dt, ... up to end_time, with a progress bar and the time left.
+
+    Raises:
+        ValueError: for a step that is not positive or an end before the start.
+    """
+    if not (dt > 0 and np.isfinite(dt)) or not end_time > start:
+        raise ValueError(f"The time step is {dt} and the run goes from {start} to {end_time}; give a positive step and an "
+                         "end after the start.")
+    number = int(np.ceil((end_time - start) / dt - 1e-9))
+    with tqdm(total=number, disable=not progress or comm.rank > 0, unit="step", file=sys.stderr, mininterval=1.0) as bar:
+        for k in range(1, number + 1):
+            yield start + k * dt
+            bar.update()
+
+
+class ParaViewOutput:
+    """Writes particles and cell fields as .vtu pieces, one per rank, with .pvd collections for ParaView.
+
+    Args:
+        folder: where to write.
+        particles (Particles): absent: none are written.
+        fields: cell-wise (DG0) and nodal (P1) Functions of one mesh; absent: none are written.
+        every (float): time between outputs [s]; absent: every call writes.
+
+    Note:
+        Collective.
+    """
+
+    def __init__(self, folder, particles=None, fields=(), every=None):
+        self.folder, self.particles, self.fields, self.every = Path(folder), particles, list(fields), every
+        self.comm = particles.comm if particles is not None else fields[0].function_space.mesh.comm
+        self.next_time, self.written = -np.inf, {"particles": [], "fluid": []}
+        self.folder.mkdir(parents=True, exist_ok=True)
+        if self.fields:
+            corner, _ = owned_corners(self.fields[0].function_space.mesh)
+            self.points, m = corner.reshape(-1, 3), corner.shape[1]
+            self.cells = [({3: "triangle", 4: "tetra"}[m], np.arange(len(corner) * m).reshape(-1, m))]
+
+    def write(self, time):
+        """Write the state at ``time`` [s], unless the last output is more recent than ``every``."""
+        if time < self.next_time - 1e-12:
+            return
+        if self.every:
+            self.next_time = (time if self.next_time == -np.inf else self.next_time) + self.every
+        if self.particles is not None:
+            self._piece("particles", time, self._particle_piece())
+        if self.fields:
+            self._piece("fluid", time, self._fluid_piece())
+
+    def _particle_piece(self):
+        p = self.particles
+        data = {"velocity": p.velocity, "angular_velocity": p.angular_velocity, "diameter": p.diameter, "id": p.id,
+                **p.properties}
+        return meshio.Mesh(p.position, [("vertex", np.arange(len(p)).reshape(-1, 1))], point_data=data)
+
+    def _fluid_piece(self):
+        cell_data, point_data, n = {}, {}, len(self.cells[0][1])
+        for f in self.fields:
+            size, element = f.function_space.dofmap.index_map_bs, f.function_space.ufl_element()
+            values = f.x.array.reshape(-1, size)
+            if size == 2:
+                values = np.column_stack([values, np.zeros(len(values))])
+            values = values[:, 0] if size == 1 else values
+            if element.degree() == 0:
+                cell_data[f.name] = [values[:n]]
+            else:
+                dofs = f.function_space.dofmap.list.array.reshape(len(f.function_space.dofmap.list), -1)[:n]
+                point_data[f.name] = values[dofs.ravel()]
+        return meshio.Mesh(self.points, self.cells, point_data=point_data, cell_data=cell_data)
+
+    def _piece(self, name, time, piece):
+        number = len(self.written[name])
+        files = [f"{name}_{number:05d}_{r}.vtu" for r in range(self.comm.size)]
+        meshio.write(self.folder / files[self.comm.rank], piece, file_format="vtu")
+        self.written[name].append((time, files))
+        if self.comm.rank == 0:
+            rows = "".join(f'<DataSet timestep="{t:.9g}" part="{r}" file="{f}"/>\n' for t, fs in self.written[name]
+                           for r, f in enumerate(fs))
+            (self.folder / f"{name}.pvd").write_text('<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">'
+                                                     f"<Collection>\n{rows}</Collection></VTKFile>\n")
+
+
+def versions():
+    """Versions of what the numbers depend on, as flat keys."""
+    out = {"python": sys.version.split()[0]}
+    for name in ("fe_el", "fenics-dolfinx", "petsc4py", "numba", "numpy"):
+        try:
+            out["version_" + name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return out
+
+
+def write_summary(folder, comm=MPI.COMM_WORLD, **numbers):
+    """Write ``folder/summary.json`` with flat keys in SI units, ranks and versions; returns the dictionary."""
+    out = {**numbers, "ranks": comm.size, **versions()}
+    if comm.rank == 0:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        plain = {k: v.item() if hasattr(v, "item") else v for k, v in out.items()}
+        (Path(folder) / "summary.json").write_text(json.dumps(plain, indent=1) + "\n")
+    return out

@@ -1,0 +1,1 @@
+"""Lagrangian particles: storage, location on unstructured cells, motion and contacts."""

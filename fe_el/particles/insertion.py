@@ -1,0 +1,123 @@
+"""Checks and positions of inserted particles."""
+import numpy as np
+from numba import njit
+
+
+def require_positive(name, value):
+    """Raise ``ValueError`` unless every value is finite and positive."""
+    value = np.asarray(value, float)
+    if value.size and not (np.isfinite(value).all() and value.min() > 0):
+        worst = value.ravel()[~(np.isfinite(value.ravel()) & (value.ravel() > 0))][0]
+        raise ValueError(f"The {name} is {worst:g}; it must be finite and greater than zero.")
+
+
+def check(particles, position, diameter, density, velocity):
+    """Full arrays of the arguments of an insertion, after checking them."""
+    x = np.atleast_2d(np.asarray(position, float))
+    if x.size == 0:
+        raise ValueError("The particle set is empty; give at least one position.")
+    n = len(x)
+    if x.shape[1] not in (2, 3) or not np.isfinite(x).all():
+        raise ValueError(f"The positions have shape {x.shape}" + (" and are not all finite" if x.size else "")
+                         + "; give finite numbers in an array (particles, 2 or 3).")
+    x = np.column_stack([x, np.zeros(n)]) if x.shape[1] == 2 else x.copy()
+    density = particles.default_density if density is None else density
+    require_positive("diameter", diameter)
+    require_positive("density", density)
+    v = np.zeros((n, 3))
+    velocity = np.asarray(velocity, float)
+    v[:, :velocity.shape[-1] if velocity.ndim else 3] = velocity
+    if not np.isfinite(v).all():
+        raise ValueError("The velocity has entries that are not finite; give finite numbers [m/s].")
+    return x, np.broadcast_to(np.asarray(diameter, float), n).copy(), \
+        np.broadcast_to(np.asarray(density, float), n).copy(), v
+
+
+def claim(particles, x):
+    """Owned cell of each position on this rank, -1 where another rank has it; each has exactly one rank."""
+    cell = particles.search(x)
+    rank = np.where(cell >= 0, particles.comm.rank, particles.comm.size).astype(np.int64)
+    first = np.empty_like(rank)
+    from mpi4py import MPI
+    particles.comm.Allreduce(rank, first, op=MPI.MIN)
+    outside = np.flatnonzero(first == particles.comm.size)
+    if len(outside):
+        raise ValueError(f"Position {x[outside[0]].tolist()} of particle {outside[0]} is outside the mesh "
+                         f"({len(outside)} of {len(x)} are); insert particles inside it.")
+    return np.where(first == particles.comm.rank, cell, -1).astype(np.int32)
+
+
+def random_positions(lower, upper, count, diameter, seed, without_overlap):
+    """Uniform random positions (count, 3) in a box, at random or by sequential insertion without overlap."""
+    lower, upper = np.asarray(lower, float), np.asarray(upper, float)
+    if count < 1:
+        raise ValueError(f"The number of particles is {count}; the particle set must not be empty.")
+    if not (upper >= lower).all():
+        raise ValueError(f"The box from {lower.tolist()} to {upper.tolist()} is empty; give lower <= upper.")
+    require_positive("diameter", diameter)
+    rng = np.random.default_rng(seed)
+    if not without_overlap:
+        return lower + rng.random((count, len(lower))) * (upper - lower)
+    radius = np.broadcast_to(np.asarray(diameter, float) / 2, count).copy()
+    lo, hi = np.zeros(3), np.zeros(3)
+    lo[:len(lower)], hi[:len(upper)] = lower, upper
+    order = np.argsort(-radius, kind="stable")
+    x, placed = _sequential(lo, hi, radius[order], seed)
+    if placed < count:
+        raise ValueError(f"Only {placed} of {count} particles fit without overlap in the box from {lower.tolist()} to "
+                         f"{upper.tolist()}; use a larger box, fewer particles, or insert_on_lattice.")
+    out = np.empty_like(x)
+    out[order] = x
+    return out[:, :len(lower)]
+
+
+@njit(cache=True)
+def _sequential(lower, upper, radius, seed):
+    """Random sequential insertion, largest first, with bins of one largest diameter."""
+    np.random.seed(seed)
+    n, size = len(radius), 2 * radius[0]
+    shape = np.ones(3, np.int64)
+    for k in range(3):
+        shape[k] = max(1, int((upper[k] - lower[k]) / size) + 1)
+    head, following = np.full(shape.prod(), -1, np.int64), np.full(n, -1, np.int64)
+    x, at, trial = np.zeros((n, 3)), np.zeros(3, np.int64), np.zeros(3)
+    for i in range(n):
+        done = False
+        for _ in range(20000):
+            for k in range(3):
+                trial[k] = lower[k] + np.random.random() * (upper[k] - lower[k])
+                at[k] = min(int((trial[k] - lower[k]) / size), shape[k] - 1)
+            free = True
+            for a in range(max(at[0] - 1, 0), min(at[0] + 2, shape[0])):
+                for b in range(max(at[1] - 1, 0), min(at[1] + 2, shape[1])):
+                    for c in range(max(at[2] - 1, 0), min(at[2] + 2, shape[2])):
+                        j = head[(a * shape[1] + b) * shape[2] + c]
+                        while j >= 0 and free:
+                            gap = radius[i] + radius[j]
+                            free = ((trial - x[j]) ** 2).sum() > gap * gap
+                            j = following[j]
+            if free:
+                done = True
+                break
+        if not done:
+            return x, i
+        x[i] = trial
+        box = (at[0] * shape[1] + at[1]) * shape[2] + at[2]
+        following[i], head[box] = head[box], i
+    return x, n
+
+
+def lattice_positions(lower, upper, diameter, seed):
+    """A square lattice filled from below (last coordinate), a little disturbed, spheres of any size apart."""
+    lower, upper = np.asarray(lower, float), np.asarray(upper, float)
+    require_positive("diameter", diameter)
+    largest = diameter.max()
+    number = np.maximum(((upper - lower) / largest * (1 + 1e-9)).astype(int), 0)
+    if number.prod() < len(diameter):
+        raise ValueError(f"Only {number.prod()} spheres of diameter {largest:g} fit on a lattice in the box from "
+                         f"{lower.tolist()} to {upper.tolist()}, but {len(diameter)} were asked for; use a higher box.")
+    index = np.stack(np.unravel_index(np.arange(len(diameter)), number[::-1]), 1)[:, ::-1]
+    pitch = (upper - lower) / number
+    pitch[-1] = min(pitch[-1], 1.02 * largest)
+    noise = np.random.default_rng(seed).uniform(-0.5, 0.5, index.shape)
+    return lower + (index + 0.5) * pitch + noise * np.maximum(pitch - diameter[:, None], 0)

@@ -1,0 +1,134 @@
+"""Locating points on unstructured simplices: walk through facets, then vertex neighbours, then a search of all cells."""
+import numpy as np
+from numba import njit
+
+INSIDE = -1e-12  # a point on a facet belongs to either cell
+
+
+@njit(cache=True)
+def lowest_coordinate(barycentric, cell, x, y, z):
+    """Facet with the lowest barycentric coordinate of a point, and that coordinate."""
+    facet, lowest = 0, 1e300
+    for f in range(barycentric.shape[1]):
+        b = barycentric[cell, f]
+        value = b[0] * x + b[1] * y + b[2] * z + b[3]
+        if value < lowest:
+            facet, lowest = f, value
+    return facet, lowest
+
+
+@njit(cache=True)
+def walk(barycentric, neighbour, shift, cell, point, limit):
+    """Walk from ``cell`` towards ``point`` (shifted in place across periodic facets): the cell, or -1 at the boundary."""
+    for _ in range(limit):
+        facet, lowest = lowest_coordinate(barycentric, cell, point[0], point[1], point[2])
+        if lowest >= INSIDE:
+            return cell
+        target = neighbour[cell, facet]
+        if target < 0:  # try another way round before giving up
+            for f in range(barycentric.shape[1]):
+                b = barycentric[cell, f]
+                if neighbour[cell, f] >= 0 and b[0] * point[0] + b[1] * point[1] + b[2] * point[2] + b[3] < INSIDE:
+                    target, facet = neighbour[cell, f], f
+                    break
+            if target < 0:
+                return -1
+        if len(shift):
+            for k in range(3):
+                point[k] += shift[cell, facet, k]
+        cell = target
+    return -1
+
+
+@njit(cache=True)
+def locate_from(barycentric, neighbour, shift, vertex_start, vertex_cells, local_vertex, cell, position):
+    """Update ``cell`` for every position, in place; -1 where neither the walk nor the vertex neighbours find it."""
+    missing = 0
+    for i in range(len(cell)):
+        first = cell[i]
+        old = position[i].copy()
+        cell[i] = walk(barycentric, neighbour, shift, first, position[i], 200)
+        if cell[i] < 0:
+            position[i] = old
+            for v in local_vertex[first]:
+                for k in range(vertex_start[v], vertex_start[v + 1]):
+                    c = vertex_cells[k]
+                    if cell[i] < 0 and not len(shift) and \
+                            lowest_coordinate(barycentric, c, old[0], old[1], old[2])[1] >= INSIDE:
+                        cell[i] = c
+            missing += cell[i] < 0
+    return missing
+
+
+@njit(cache=True)
+def _fill_bins(corner, lower, size, shape, start, content, count_only):
+    """Bin the cells by their bounding boxes: count, or fill ``content``."""
+    for c in range(len(corner)):
+        lo = np.zeros(3, np.int64)
+        hi = np.zeros(3, np.int64)
+        for k in range(3):
+            lo[k] = min(max(int((corner[c, :, k].min() - lower[k]) / size), 0), shape[k] - 1)
+            hi[k] = min(max(int((corner[c, :, k].max() - lower[k]) / size), 0), shape[k] - 1)
+        for i in range(lo[0], hi[0] + 1):
+            for j in range(lo[1], hi[1] + 1):
+                for k in range(lo[2], hi[2] + 1):
+                    b = (i * shape[1] + j) * shape[2] + k
+                    if count_only:
+                        start[b + 1] += 1
+                    else:
+                        content[start[b]] = c
+                        start[b] += 1
+
+
+@njit(cache=True)
+def _search(barycentric, owned, lower, size, shape, start, content, position):
+    """Owned cell of every position, or -1."""
+    cell = np.full(len(position), -1, np.int32)
+    for i in range(len(position)):
+        b = 0
+        for k in range(3):
+            index = int(np.floor((position[i, k] - lower[k]) / size))
+            if index == shape[k] and position[i, k] - lower[k] <= shape[k] * size * (1 + 1e-12):
+                index -= 1
+            if index < 0 or index >= shape[k]:
+                b = -1
+                break
+            b = b * shape[k] + index
+        if b >= 0:
+            for k in range(start[b], start[b + 1]):
+                c = content[k]
+                if c < owned and lowest_coordinate(barycentric, c, position[i, 0], position[i, 1],
+                                                   position[i, 2])[1] >= INSIDE:
+                    cell[i] = c
+                    break
+    return cell
+
+
+class CellSearch:
+    """Finds the owned cell of any point, without a guess, by bins of the cells' bounding boxes."""
+
+    def __init__(self, cells):
+        self.cells = cells
+        corner = cells.corner
+        self.lower = corner.min((0, 1)) - 1e-9 * np.ptp(corner, (0, 1)).max()
+        extent = corner.max((0, 1)) - self.lower
+        self.size = 1.5 * np.ptp(corner, 1).max(1).mean() + 1e-300
+        self.shape = np.maximum(np.ceil(extent / self.size).astype(np.int64), 1)
+        start = np.zeros(self.shape.prod() + 1, np.int64)
+        _fill_bins(corner, self.lower, self.size, self.shape, start, np.empty(0, np.int32), True)
+        start = np.cumsum(start)
+        self.content = np.empty(start[-1], np.int32)
+        filled = start.copy()
+        _fill_bins(corner, self.lower, self.size, self.shape, filled, self.content, False)
+        self.start = start
+
+    def __call__(self, position):
+        """Owned cell of each position (points, 3), or -1."""
+        return _search(self.cells.barycentric, self.cells.owned, self.lower, self.size, self.shape, self.start,
+                       self.content, np.ascontiguousarray(position, np.float64))
+
+
+def locate(cells, cell, position):
+    """Update the cells of positions in place, starting from the last ones; return how many were not found."""
+    return locate_from(cells.barycentric, cells.neighbour, cells.shift, cells.vertex_start, cells.vertex_cells,
+                       cells.local_vertex, cell, position)

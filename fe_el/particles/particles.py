@@ -1,0 +1,238 @@
+"""The particles: a structure of arrays on the cells of a mesh, each particle owned by the rank of its cell."""
+import numpy as np
+
+from fe_el import mesh as _mesh
+from fe_el.exchange import move
+from fe_el.particles import insertion, location
+
+FIELDS = {"position": (3,), "velocity": (3,), "angular_velocity": (3,), "diameter": (), "density": (), "force": (3,),
+          "contact_force": (3,), "contact_torque": (3,), "mean_contact_force": (3,)}
+
+
+class LostParticle(RuntimeError):
+    """A particle is in no cell of the mesh."""
+
+
+class Particles:
+    """Spheres with position [m], velocity [m/s], angular velocity [1/s], diameter [m] and density [kg/m^3].
+
+    Every array has one row per particle of this rank; ``id`` is unique over all ranks and never changes. ``force`` [N]
+    is added during :meth:`advance` (the coupling writes it). ``properties`` holds user arrays that travel along.
+
+    Args:
+        mesh: dolfinx mesh of triangles or tetrahedra.
+        density (float): default density of inserted particles [kg/m^3].
+        gravity: acceleration (three numbers) [m/s^2].
+        thickness (float): depth of a two-dimensional mesh [m].
+
+    Note:
+        Collective.
+    """
+
+    def __init__(self, mesh, density, gravity=(0.0, 0.0, 0.0), thickness=1.0):
+        insertion.require_positive("density", density)
+        insertion.require_positive("thickness", thickness)
+        self.mesh, self.comm, self.default_density = mesh, mesh.comm, float(density)
+        self.gravity = np.zeros(3)
+        self.gravity[:len(gravity)] = gravity
+        self.thickness, self.halo_width, self.step, self.left = thickness, -1.0, 0, 0
+        self.outlet_planes = []
+        for name, shape in FIELDS.items():
+            setattr(self, name, np.zeros((0, *shape)))
+        self.cell, self.id = np.zeros(0, np.int32), np.zeros(0, np.int64)
+        self.properties, self.next_id, self.layout = {}, 0, 0
+        self.reach_halo(0.0)
+
+    def __len__(self):
+        return len(self.id)
+
+    @property
+    def total_number(self):
+        """Number of particles on all ranks."""
+        return self.comm.allreduce(len(self))
+
+    @property
+    def volume(self):
+        """(particles,) volume [m^3]."""
+        return np.pi / 6 * self.diameter ** 3
+
+    @property
+    def mass(self):
+        """(particles,) mass [kg]."""
+        return self.density * self.volume
+
+    def reach_halo(self, width):
+        """Make the halo of cells at least ``width`` wide [m]."""
+        if width > self.halo_width:
+            self.halo_width = width
+            self.cells, self.halo = _mesh.cell_mesh(self.mesh, width, self.thickness)
+            self.search = location.CellSearch(self.cells)
+
+    # -- insertion -------------------------------------------------------------------------------------------------
+
+    def insert_at(self, position, diameter, density=None, velocity=0.0):
+        """Insert particles at positions (particles, 2 or 3) [m], given alike on every rank.
+
+        Raises:
+            ValueError: for a position outside the mesh, not finite, or a diameter or density that is not positive.
+
+        Note:
+            Collective.
+        """
+        x, diameter, density, velocity = insertion.check(self, position, diameter, density, velocity)
+        self.reach_halo(3.0 * diameter.max())
+        cell = insertion.claim(self, x)
+        mine = np.flatnonzero(cell >= 0)
+        new = {name: np.zeros((len(mine), *shape)) for name, shape in FIELDS.items()}
+        new["position"], new["velocity"], new["diameter"] = x[mine], velocity[mine], diameter[mine]
+        new["density"] = density[mine]
+        for name in FIELDS:
+            setattr(self, name, np.concatenate([getattr(self, name), new[name]]))
+        self.cell = np.concatenate([self.cell, cell[mine]])
+        self.id = np.concatenate([self.id, self.next_id + mine])
+        for name, a in self.properties.items():
+            self.properties[name] = np.concatenate([a, np.zeros((len(mine), *a.shape[1:]), a.dtype)])
+        self.next_id += len(x)
+        self.layout += 1
+
+    def insert_in_box(self, lower, upper, count, diameter, density=None, velocity=0.0, seed=0, without_overlap=False):
+        """Insert ``count`` particles at random in a box; ``diameter`` is a number or one per particle [m].
+
+        Raises:
+            ValueError: if the box is not inside the mesh, or too small for particles without overlap.
+
+        Note:
+            Collective.
+        """
+        x = insertion.random_positions(lower, upper, count, diameter, seed, without_overlap)
+        self.insert_at(x, diameter, density, velocity)
+
+    def insert_on_lattice(self, lower, upper, diameter, density=None, velocity=0.0, seed=0):
+        """Fill a box from below with particles of the given diameters (particles,), shuffled, that do not touch.
+
+        Raises:
+            ValueError: if the box is too small.
+
+        Note:
+            Collective.
+        """
+        diameter = np.random.default_rng(seed).permutation(np.asarray(diameter, float))
+        self.insert_at(insertion.lattice_positions(lower, upper, diameter, seed), diameter, density, velocity)
+
+    # -- order and ranks -------------------------------------------------------------------------------------------
+
+    def arrays(self):
+        """Names and arrays of everything that travels with a particle."""
+        own = {name: getattr(self, name) for name in (*FIELDS, "cell", "id")}
+        return own, self.properties
+
+    def select(self, rows):
+        """Keep the given rows, in that order."""
+        for name in (*FIELDS, "cell", "id"):
+            setattr(self, name, np.ascontiguousarray(getattr(self, name)[rows]))
+        self.properties = {name: a[rows] for name, a in self.properties.items()}
+        self.layout += 1
+
+    def locate(self):
+        """Find the cell of every particle and move particles to the ranks of their cells.
+
+        Returns:
+            ndarray: rank every particle (in the old order) is on now, or ``None`` if all stayed.
+
+        Raises:
+            LostParticle: if a particle is in no cell of any rank.
+
+        Note:
+            Collective.
+        """
+        missing = location.locate(self.cells, self.cell, self.position)
+        if self.comm.allreduce(missing):
+            self._search_everywhere()
+        if self.comm.size == 1:
+            return None
+        return self._migrate()
+
+    def _search_everywhere(self):
+        lost = np.flatnonzero(self.cell < 0)
+        where = self.search(self.position[lost])
+        if self.comm.size > 1:
+            everywhere = self.comm.allgather(self.position[lost])
+            found = [self.comm.allgather(self.search(x)) for x in everywhere][self.comm.rank]
+            self._claims = {int(i): (r, f[k]) for k, i in enumerate(lost) for r, f in enumerate(found) if f[k] >= 0}
+            where = np.array([0 if int(i) in self._claims else -1 for i in lost], np.int32)
+        else:
+            self.cell[lost] = where
+        bad = lost[where < 0]
+        message = None
+        if len(bad):
+            i = bad[0]
+            message = (f"Particle {self.id[i]} is outside the mesh at {self.position[i].tolist()} with velocity "
+                       f"{self.velocity[i].tolist()} (step {self.step}, rank {self.comm.rank}). Name the boundary it "
+                       "crossed in walls=, use a smaller step, or a stiffer contact law.")
+        messages = [m for m in self.comm.allgather(message) if m]
+        if messages:
+            raise LostParticle(messages[0])
+
+    def _migrate(self):
+        """Send particles in halo cells to the owners of these cells."""
+        owned = self.cells.owned
+        if not hasattr(self, "_cell_owner") or len(self._cell_owner[0]) != len(self.cells.volume):
+            rank = np.full(len(self.cells.volume), self.comm.rank, np.int32)
+            index = np.arange(len(self.cells.volume), dtype=np.int32)
+            self._cell_owner = (self.halo.forward(rank), self.halo.forward(index))
+        inside = np.maximum(self.cell, 0)
+        destination, target = self._cell_owner[0][inside], self._cell_owner[1][inside].copy()
+        for i, (rank, cell) in getattr(self, "_claims", {}).items():
+            destination[i], target[i] = rank, cell
+        self._claims = {}
+        leaving = destination != self.comm.rank
+        self.cell = np.where(leaving | (self.cell < 0), target, self.cell).astype(np.int32)
+        assert (self.cell[~leaving] < owned).all()
+        if not self.comm.allreduce(int(leaving.sum())):
+            return None
+        own, user = self.arrays()
+        out, stay = np.flatnonzero(leaving), np.flatnonzero(~leaving)
+        received = move(self.comm, destination[out], [a[out] for a in (*own.values(), *user.values())])
+        for name, a in zip(own, received):
+            setattr(self, name, np.concatenate([own[name][stay], a]))
+        self.properties = {name: np.concatenate([user[name][stay], a])
+                           for name, a in zip(user, received[len(own):])}
+        self.layout += 1
+        return destination
+
+    # -- motion ----------------------------------------------------------------------------------------------------
+
+    def advance(self, dt, contacts=None):
+        """Advance by ``dt`` [s] under gravity, ``force`` and, if given, contacts in sub-steps.
+
+        Raises:
+            LostParticle: if a particle leaves the mesh.
+            FloatingPointError: if a velocity is no longer finite.
+
+        Note:
+            Collective.
+        """
+        insertion.require_positive("time step", dt)
+        self.step += 1
+        if contacts is None:
+            change = dt * (self.gravity + self.force / self.mass[:, None])
+            self.position += dt * (self.velocity + 0.5 * change)
+            self.velocity += change
+        else:
+            contacts.advance(dt)
+        if len(self) and not np.isfinite(self.velocity).all():
+            i = int(np.flatnonzero(~np.isfinite(self.velocity).all(1))[0])
+            raise FloatingPointError(f"Particle {self.id[i]} has velocity {self.velocity[i].tolist()} at step {self.step} "
+                                     f"on rank {self.comm.rank}. Use a smaller step or a softer contact law.")
+        if contacts is None:
+            self.locate()
+
+    def momentum(self):
+        """Total momentum of all particles (3,) [kg m/s]."""
+        return self.comm.allreduce((self.mass[:, None] * self.velocity).sum(0))
+
+    def kinetic_energy(self):
+        """Kinetic energy of all particles, translation and rotation [J]."""
+        inertia = 0.1 * self.mass * self.diameter ** 2
+        return self.comm.allreduce(0.5 * float((self.mass * (self.velocity ** 2).sum(1)).sum()
+                                               + (inertia * (self.angular_velocity ** 2).sum(1)).sum()))

@@ -1,0 +1,86 @@
+"""Contacts from one and two particles up."""
+import numpy as np
+import pytest
+
+import fe_el
+
+
+def two_spheres(restitution, friction=0.0, velocity=0.5, offset=0.0, steps=50):
+    mesh, _ = fe_el.box((0.02, 0.02, 0.02), (2, 2, 2))
+    p = fe_el.Particles(mesh, density=2500.0)
+    p.insert_at([[0.008, 0.01, 0.01], [0.0101, 0.01 + offset, 0.01]], diameter=[1e-3, 2e-3],
+                velocity=[[velocity, 0, 0], [-velocity, 0, 0]])
+    return p, fe_el.Contacts(p, fe_el.LinearSpringDashpot(1000.0, restitution, friction), steps_per_contact=steps)
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("steps", [50, 400])
+@pytest.mark.parametrize("restitution", [0.1, 0.5, 0.9, 1.0])
+def test_restitution(restitution, steps):
+    """The relative velocity after a head-on collision is the restitution times the one before, and converges to it.
+
+    The dashpot force jumps at first touch, so the error is of first order: below 0.6 / steps per contact.
+    """
+    p, contacts = two_spheres(restitution, steps=steps)
+    before = p.momentum()
+    for _ in range(40):
+        p.advance(1e-4, contacts)
+    v = np.zeros(2)
+    v[p.id] = p.velocity[:, 0]
+    v = p.comm.allreduce(v)
+    assert v[1] - v[0] == pytest.approx(restitution, abs=0.6 / steps)
+    assert np.allclose(p.momentum(), before, rtol=0, atol=1e-13 * p.comm.allreduce(p.mass.sum()))
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("offset", [0.2e-3, 0.8e-3, 1.3e-3])
+def test_oblique_collision_conserves_momentum_and_gains_no_energy(offset):
+    p, contacts = two_spheres(1.0, friction=0.3, offset=offset)
+    momentum, energy, angular = p.momentum(), p.kinetic_energy(), angular_momentum(p)
+    for _ in range(40):
+        p.advance(1e-4, contacts)
+    assert p.comm.allreduce(np.abs(p.angular_velocity).sum()) > 1.0  # they did touch
+    assert np.allclose(p.momentum(), momentum, rtol=0, atol=1e-18)
+    assert p.kinetic_energy() <= energy * (1 + 1e-4)
+    assert np.allclose(angular_momentum(p), angular, rtol=0, atol=1e-12 * np.abs(angular).max())
+
+
+def angular_momentum(p):
+    inertia = 0.1 * p.mass * p.diameter ** 2
+    return p.comm.allreduce((p.mass[:, None] * np.cross(p.position, p.velocity)
+                             + inertia[:, None] * p.angular_velocity).sum(0))
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("restitution", [0.6, 1.0])
+def test_rebound_from_a_wall_of_mesh_facets(restitution):
+    """A sphere dropped on the seam between facets rebounds straight with its restitution."""
+    mesh, tags = fe_el.box((0.02, 0.02, 0.02), (2, 2, 2))
+    p = fe_el.Particles(mesh, density=2500.0)
+    p.insert_at([[0.01, 0.01, 0.002]], diameter=2e-3, velocity=(0, 0, -0.5))
+    contacts = fe_el.Contacts(p, fe_el.LinearSpringDashpot(1000.0, restitution, 0.3), walls=(tags, 5))
+    for _ in range(60):
+        p.advance(1e-4, contacts)
+    v = p.comm.allreduce(p.velocity.sum(0))
+    assert v[2] == pytest.approx(0.5 * restitution, abs=0.5 * 0.6 / 50)
+    assert np.abs(v[:2]).max() < 1e-12
+
+
+@pytest.mark.ranks
+def test_sliding_over_seams_is_straight():
+    """A frictionless sphere pressed on a wall slides over the seams between facets without feeling them."""
+    mesh, tags = fe_el.box((0.05, 0.02, 0.01), (7, 3, 2))
+    p = fe_el.Particles(mesh, density=2500.0, gravity=(0, 0, -9.81))
+    rest = 2500.0 * np.pi / 6 * 8e-9 * 9.81 / 1000.0
+    p.insert_at([[0.005, 0.0071, 1e-3 - rest]], diameter=2e-3, velocity=(0.4, 0.05, 0))
+    contacts = fe_el.Contacts(p, fe_el.LinearSpringDashpot(1000.0, 1.0, 0.0), walls=(tags, 5))
+    for _ in range(80):
+        p.advance(1e-3, contacts)
+        v = p.comm.allreduce(p.velocity.sum(0))
+        assert np.allclose(v, (0.4, 0.05, 0), rtol=0, atol=1e-9)
+
+
+def test_contact_law_rejects_impossible_numbers():
+    for kwargs in ({"restitution": 0.0}, {"restitution": 1.1}, {"friction": -1.0}, {"stiffness": -5.0}):
+        with pytest.raises(ValueError):
+            fe_el.LinearSpringDashpot(**{"stiffness": 100.0, "restitution": 0.9, "friction": 0.1, **kwargs})

@@ -1,0 +1,77 @@
+"""The fluid alone: rest, packed beds and conservation."""
+import numpy as np
+import pytest
+from dolfinx import fem
+from mpi4py import MPI
+
+import fe_el
+
+
+@pytest.mark.ranks
+def test_rest_under_gravity_with_random_void_fraction_and_drag():
+    mesh, tags = fe_el.box((0.1, 0.1), (12, 12))
+    air = fe_el.VolumeAveragedNavierStokes(mesh, tags, gravity=(0, -9.81), tolerance=1e-13)
+    for side in (1, 2, 3, 4):
+        air.set_no_slip(side)
+    scalar, vector = fem.FunctionSpace(mesh, ("DG", 0)), fem.VectorFunctionSpace(mesh, ("DG", 0))
+    phi, drag, source = fem.Function(scalar), fem.Function(scalar), fem.Function(vector)
+    n = air.num_cells
+    rng = np.random.default_rng(mesh.comm.rank)
+    phi.x.array[:n] = rng.uniform(0.36, 1, n)
+    drag.x.array[:n] = 10 ** rng.uniform(-3, 8, n) * rng.integers(0, 2, n)
+    for _ in range(30):
+        air.advance(1e-3, (phi, drag, source))
+    assert np.abs(air.velocity.x.array).max(initial=0) < 1e-10 * np.sqrt(9.81 * 0.1)
+
+
+@pytest.mark.ranks
+def test_pressure_drop_of_a_packed_bed_below_a_freeboard_is_exact():
+    """-dp/dx = beta u / phi at dt beta / rho = 8850, with drag beside none (superficial velocity U = phi u)."""
+    mesh, tags = fe_el.box((0.05, 0.2), (6, 24))
+    air = fe_el.VolumeAveragedNavierStokes(mesh, tags, density=1.13, viscosity=1.77e-5, tolerance=1e-12)
+    beta, speed, void = 1e7, 1.3, 0.42
+    air.set_velocity(3, (0, speed))
+    air.set_pressure(4, 0.0)
+    air.set_slip(1)
+    air.set_slip(2)
+    air.set_initial_velocity((0, speed))
+    scalar, vector = fem.FunctionSpace(mesh, ("DG", 0)), fem.VectorFunctionSpace(mesh, ("DG", 0))
+    phi, drag, source = fem.Function(scalar), fem.Function(scalar), fem.Function(vector)
+    inside = air.corner[:, :, 1].mean(1) < 0.1
+    phi.x.array[:air.num_cells] = np.where(inside, void, 1.0)
+    drag.x.array[:air.num_cells] = np.where(inside, beta, 0.0)
+    for _ in range(200):
+        air.advance(1e-3, (phi, drag, source))
+    drop = mesh.comm.allreduce(air.pressure.x.array.max(), op=MPI.MAX)
+    assert drop == pytest.approx(beta * speed / void ** 2 * 0.1, rel=1e-5)
+
+
+def test_plane_poiseuille():
+    """A developed profile stays as it is between no-slip walls, with dp/dx = -8 mu U / H^2 (both to 1 % on 16 squares)."""
+    mesh, tags = fe_el.box((2.0, 1.0), (32, 16))
+    air = fe_el.VolumeAveragedNavierStokes(mesh, tags, density=1.0, viscosity=0.1, tolerance=1e-10)
+    air.set_velocity(1, lambda t, x: np.column_stack([4 * x[:, 1] * (1 - x[:, 1]), 0 * x[:, 1]]))
+    for side in (3, 4):
+        air.set_no_slip(side)
+    air.set_pressure(2, 0.0)
+    for _ in range(200):
+        air.advance(0.05)
+    x = air.corner.mean(1)
+    u = air.velocity.x.array.reshape(-1, 2)[:, 0]
+    middle = np.abs(x[:, 0] - 1.0) < 0.3
+    assert np.abs(u - 4 * x[:, 1] * (1 - x[:, 1]))[middle].max() < 0.01
+    at = lambda where: air.pressure.x.array[np.isclose(air.node_position[:, 0], where)].mean()
+    assert at(0.5) - at(1.5) == pytest.approx(0.8, rel=0.01)
+
+
+def test_bad_input_is_refused():
+    mesh, tags = fe_el.box((1.0, 1.0), (2, 2))
+    with pytest.raises(ValueError, match="density"):
+        fe_el.VolumeAveragedNavierStokes(mesh, tags, density=-1.0)
+    air = fe_el.VolumeAveragedNavierStokes(mesh, tags)
+    with pytest.raises(ValueError, match="boundary group 9"):
+        air.set_no_slip(9)
+    with pytest.raises(ValueError, match="time step"):
+        air.advance(-0.1)
+    with pytest.raises(ValueError, match="velocity"):
+        air.set_velocity(1, (0.0, np.nan))

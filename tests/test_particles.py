@@ -1,0 +1,65 @@
+"""Storage, insertion and location of particles."""
+import numpy as np
+import pytest
+
+import fe_el
+
+
+@pytest.mark.ranks
+def test_every_particle_is_in_its_cell_and_owned_once():
+    mesh, _ = fe_el.box((1.0, 1.0, 1.0), (4, 4, 4))
+    p = fe_el.Particles(mesh, density=1000.0)
+    p.insert_in_box((0, 0, 0), (1, 1, 1), 2000, diameter=1e-3, seed=3)
+    assert p.total_number == 2000
+    for _ in range(10):
+        p.velocity[:] = np.random.default_rng(p.step).normal(size=(2000, 3))[p.id]
+        p.velocity[(p.position < 0.2)] = 1.0
+        p.velocity[(p.position > 0.8)] = -1.0
+        p.advance(0.02)
+        b = p.cells.barycentric[p.cell]
+        inside = np.einsum("pfk,pk->pf", b[:, :, :3], p.position) + b[:, :, 3]
+        assert (p.cell < p.cells.owned).all() and inside.min(initial=0) > -1e-11
+    ids = np.sort(np.concatenate(p.comm.allgather(p.id)))
+    assert np.array_equal(ids, np.arange(2000))
+
+
+@pytest.mark.ranks
+def test_a_particle_that_leaves_stops_the_run():
+    mesh, _ = fe_el.box((1.0, 1.0), (4, 4))
+    p = fe_el.Particles(mesh, density=1000.0)
+    p.insert_at([[0.9, 0.5]], diameter=1e-3, velocity=(10.0, 0.0))
+    with pytest.raises(fe_el.LostParticle, match="outside the mesh"):
+        p.advance(0.1)
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("kwargs, words", [
+    ({"position": [[2.0, 0, 0]], "diameter": 1e-3}, "outside the mesh"),
+    ({"position": [[0.5, 0.5, 0.5]], "diameter": -1e-3}, "diameter"),
+    ({"position": [[0.5, 0.5, 0.5]], "diameter": 1e-3, "density": 0.0}, "density"),
+    ({"position": [[np.nan, 0.5, 0.5]], "diameter": 1e-3}, "finite"),
+    ({"position": [], "diameter": 1e-3}, "empty")])
+def test_bad_insertions_are_refused(kwargs, words):
+    mesh, _ = fe_el.box((1.0, 1.0, 1.0), (2, 2, 2))
+    with pytest.raises(ValueError, match=words):
+        fe_el.Particles(mesh, density=1000.0).insert_at(**kwargs)
+
+
+def test_free_fall_is_exact():
+    mesh, _ = fe_el.box((1.0, 1.0, 1.0), (2, 2, 2))
+    p = fe_el.Particles(mesh, density=1000.0, gravity=(0, 0, -10.0))
+    p.insert_at([[0.5, 0.5, 0.9]], diameter=1e-3)
+    for _ in range(10):
+        p.advance(0.03)
+    assert p.position[0] == pytest.approx([0.5, 0.5, 0.9 - 5.0 * 0.09], abs=1e-14)
+
+
+def test_insertion_without_overlap():
+    mesh, _ = fe_el.box((1.0, 1.0, 1.0), (2, 2, 2))
+    p = fe_el.Particles(mesh, density=1000.0)
+    d = np.repeat([0.05, 0.1], [300, 50])
+    p.insert_in_box((0.05,) * 3, (0.95,) * 3, 350, diameter=d, seed=1, without_overlap=True)
+    gap = np.linalg.norm(p.position[:, None] - p.position, axis=2) - 0.5 * (p.diameter[:, None] + p.diameter)
+    assert gap[np.triu_indices(350, 1)].min() >= 0
+    with pytest.raises(ValueError, match="fit without overlap"):
+        p.insert_in_box((0, 0, 0), (0.2, 0.2, 0.2), 100, diameter=0.1, without_overlap=True)
