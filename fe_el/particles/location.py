@@ -2,7 +2,8 @@
 import numpy as np
 from numba import njit
 
-INSIDE = -1e-12  # a point on a facet belongs to either cell
+INSIDE = 0.0  # the cells' maps are moved a little, so that a point on a facet belongs to one cell
+AT_BOUNDARY = -1e-8  # a point on the boundary counts as inside
 
 
 @njit(cache=True)
@@ -25,6 +26,13 @@ def walk(barycentric, neighbour, shift, cell, point, limit):
         if lowest >= INSIDE:
             return cell
         target = neighbour[cell, facet]
+        if target < 0 and lowest >= AT_BOUNDARY:
+            inner = True
+            for f in range(barycentric.shape[1]):
+                b = barycentric[cell, f]
+                inner &= neighbour[cell, f] < 0 or b[0] * point[0] + b[1] * point[1] + b[2] * point[2] + b[3] >= INSIDE
+            if inner:
+                return cell
         if target < 0:  # try another way round before giving up
             for f in range(barycentric.shape[1]):
                 b = barycentric[cell, f]
@@ -54,7 +62,7 @@ def locate_from(barycentric, neighbour, shift, vertex_start, vertex_cells, local
                 for k in range(vertex_start[v], vertex_start[v + 1]):
                     c = vertex_cells[k]
                     if cell[i] < 0 and not len(shift) and \
-                            lowest_coordinate(barycentric, c, old[0], old[1], old[2])[1] >= INSIDE:
+                            lowest_coordinate(barycentric, c, old[0], old[1], old[2])[1] >= AT_BOUNDARY:
                         cell[i] = c
             missing += cell[i] < 0
     return missing
@@ -95,12 +103,12 @@ def _search(barycentric, owned, lower, size, shape, start, content, position):
                 break
             b = b * shape[k] + index
         if b >= 0:
+            best = AT_BOUNDARY
             for k in range(start[b], start[b + 1]):
                 c = content[k]
-                if c < owned and lowest_coordinate(barycentric, c, position[i, 0], position[i, 1],
-                                                   position[i, 2])[1] >= INSIDE:
-                    cell[i] = c
-                    break
+                lowest = lowest_coordinate(barycentric, c, position[i, 0], position[i, 1], position[i, 2])[1]
+                if c < owned and lowest > best and best < INSIDE:
+                    cell[i], best = c, lowest
     return cell
 
 

@@ -67,6 +67,9 @@ class Particles:
             self.halo_width = width
             self.cells, self.halo = _mesh.cell_mesh(self.mesh, width, self.thickness)
             self.search = location.CellSearch(self.cells)
+            number = len(self.cells.volume)
+            self._cell_owner = (self.halo.forward(np.full(number, self.comm.rank, np.int32)),
+                                self.halo.forward(np.arange(number, dtype=np.int32)))
 
     # -- insertion -------------------------------------------------------------------------------------------------
 
@@ -176,10 +179,6 @@ class Particles:
     def _migrate(self):
         """Send particles in halo cells to the owners of these cells."""
         owned = self.cells.owned
-        if not hasattr(self, "_cell_owner") or len(self._cell_owner[0]) != len(self.cells.volume):
-            rank = np.full(len(self.cells.volume), self.comm.rank, np.int32)
-            index = np.arange(len(self.cells.volume), dtype=np.int32)
-            self._cell_owner = (self.halo.forward(rank), self.halo.forward(index))
         inside = np.maximum(self.cell, 0)
         destination, target = self._cell_owner[0][inside], self._cell_owner[1][inside].copy()
         for i, (rank, cell) in getattr(self, "_claims", {}).items():
