@@ -1,7 +1,8 @@
 """fe_el: finite-element fluid with Lagrangian particles on FEniCSx.
 
 Fluid: VolumeAveragedNavierStokes
-Particles: Particles, Contacts, LinearSpringDashpot, LostParticle
+Particles: Particles, LostParticle, Contacts; laws LinearSpringDashpot, HertzMindlin, RollingFriction, ArrayLaw;
+    walls FacetWalls, PlaneWall, CylinderWall
 Coupling: Coupling, Drag, PressureGradient, drag_laws
 Meshes: read_mesh, mesh_geo, box
 Running: time_steps, ParaViewOutput, write_summary
@@ -14,7 +15,10 @@ import importlib
 _HOME = {
     "VolumeAveragedNavierStokes": "fluid.volume_averaged_navier_stokes", "SolverDiverged": "fluid.linear_solver",
     "Particles": "particles.particles", "LostParticle": "particles.particles", "Contacts": "particles.contacts",
-    "LinearSpringDashpot": "particles.contact_laws", "Coupling": "coupling.coupling", "Drag": "coupling.forces",
+    "LinearSpringDashpot": "particles.contact_laws", "HertzMindlin": "particles.contact_laws",
+    "RollingFriction": "particles.contact_laws", "ArrayLaw": "particles.array_law", "FacetWalls": "particles.wall_shapes",
+    "PlaneWall": "particles.wall_shapes", "CylinderWall": "particles.wall_shapes",
+    "Coupling": "coupling.coupling", "Drag": "coupling.forces",
     "PressureGradient": "coupling.forces", "read_mesh": "mesh", "mesh_geo": "mesh", "box": "box_mesh",
     "time_steps": "output", "ParaViewOutput": "output", "write_summary": "output",
 }

@@ -1,4 +1,4 @@
-"""Contact laws: their parameters, and what follows from them."""
+"""Contact laws: their parameters per pair of materials, and what follows from them."""
 from typing import NamedTuple
 
 import numpy as np
@@ -7,46 +7,166 @@ from fe_el.particles.insertion import require_positive
 
 
 class LawNumbers(NamedTuple):
-    """What the pair kernel needs of a linear law."""
+    """What the kernels need of a law: one table row per pair of materials (see :mod:`fe_el.particles.law_kernels`)."""
 
-    stiffness: float
-    tangential_stiffness: float
-    damping: float  #: normal damping over sqrt(m* k)
-    tangential_damping: float  #: tangential over normal damping
-    friction: float
+    kind: int  #: 0 linear, 1 Hertz
+    rolls: int  #: 0 no rolling friction, 1 constant torque, 2 elastic-plastic
+    cohesive: bool
+    needs_radius: bool
+    table: np.ndarray  #: (materials, materials, 7)
 
 
-class LinearSpringDashpot:
+class RollingFriction:
+    """Rolling friction: a torque of at most ``coefficient`` R* F_n against the relative rotation.
+
+    Args:
+        coefficient: mu_r, a number or (materials, materials).
+        elastic_plastic (bool): a rolling spring that holds slopes at rest (Ai et al. 2011); absent: constant torque.
+
+    Raises:
+        ValueError: for a negative coefficient.
+    """
+
+    def __init__(self, coefficient, elastic_plastic=False):
+        require_not_negative("rolling friction", coefficient)
+        self.coefficient, self.elastic_plastic = np.asarray(coefficient, float), bool(elastic_plastic)
+
+
+def require_not_negative(name, value):
+    """Raise ``ValueError`` unless every value is finite and not negative."""
+    value = np.asarray(value, float)
+    if not (np.isfinite(value).all() and (value >= 0).all()):
+        raise ValueError(f"The {name} is {value.tolist()}; it must be finite and not negative.")
+
+
+def pair_table(name, value, materials):
+    """Symmetric (materials, materials) array of a number or a table.
+
+    Raises:
+        ValueError: for another shape or an asymmetric table.
+    """
+    value = np.asarray(value, float)
+    if value.ndim == 0:
+        return np.full((materials, materials), float(value))
+    if value.shape != (materials, materials) or not np.array_equal(value, value.T):
+        raise ValueError(f"The {name} has shape {value.shape} for {materials} materials; give one number or a symmetric table "
+                         f"({materials}, {materials}).")
+    return value
+
+
+class _Law:
+    """What both laws share: restitution, friction, rolling friction and cohesion of each pair of materials."""
+
+    def _common(self, restitution, friction, rolling, cohesion, materials):
+        e = np.asarray(restitution, float)
+        if not ((e > 0).all() and (e <= 1).all()):
+            raise ValueError(f"The restitution is {e.tolist()}; it must be greater than 0 and at most 1.")
+        require_not_negative("friction", friction)
+        require_not_negative("cohesion energy density", cohesion)
+        if rolling is not None and not isinstance(rolling, RollingFriction):
+            raise ValueError(f"rolling is {rolling!r}; pass RollingFriction(coefficient), or leave it out.")
+        self.materials = materials
+        self.table = np.zeros((materials, materials, 7))
+        log = np.abs(np.log(pair_table("restitution", e, materials)))
+        self.damping = 2 * log / np.hypot(np.pi, log)
+        self.table[:, :, 2] = pair_table("friction", friction, materials)
+        self.rolls = 0
+        if rolling is not None:
+            self.table[:, :, 5] = pair_table("rolling friction", rolling.coefficient, materials)
+            self.rolls = 2 if rolling.elastic_plastic else 1
+        self.table[:, :, 6] = pair_table("cohesion energy density", cohesion, materials)
+
+    @property
+    def numbers(self):
+        """What the kernels need."""
+        cohesive = bool(self.table[:, :, 6].any())
+        return LawNumbers(self.kind, self.rolls, cohesive, bool(self.kind == 1 or cohesive or self.rolls), self.table)
+
+
+def materials_of(*values):
+    """Number of materials that the shapes of the given numbers speak of."""
+    return max([1] + [np.asarray(v).shape[0] for v in values if np.asarray(v).ndim])
+
+
+class LinearSpringDashpot(_Law):
     """Linear spring and dashpot with a tangential spring and Coulomb friction.
 
     F_n = k_n overlap - eta_n v_n,  eta_n = 2 sqrt(m* k_n) |ln e| / sqrt(pi^2 + ln^2 e)  (Tsuji et al. 1993).
+    Every number may be a symmetric table (materials, materials); particles and walls carry the index of their material.
 
     Args:
-        stiffness (float): normal stiffness k_n [N/m].
-        restitution (float): coefficient of restitution e, in (0, 1].
-        friction (float): Coulomb coefficient, not negative.
-        tangential_stiffness_ratio (float): k_t / k_n.
-        tangential_damping_ratio (float): eta_t / eta_n.
+        stiffness: normal stiffness k_n [N/m].
+        restitution: coefficient of restitution e, in (0, 1].
+        friction: Coulomb coefficient, not negative.
+        tangential_stiffness_ratio: k_t / k_n, in (0, 1].
+        tangential_damping_ratio: eta_t / eta_n, in [0, 1].
+        rolling (RollingFriction): absent: none.
+        cohesion: energy density c of an attraction c pi overlap 2 R* [J/m^3].
 
     Raises:
-        ValueError: for a number out of its range.
+        ValueError: for a number out of its range or a table of the wrong shape.
     """
 
-    def __init__(self, stiffness, restitution, friction, tangential_stiffness_ratio=2 / 7, tangential_damping_ratio=0.5):
-        require_positive("stiffness", stiffness)
-        if not 0 < restitution <= 1:
-            raise ValueError(f"The restitution is {restitution}; it must be greater than 0 and at most 1.")
-        if not (friction >= 0 and np.isfinite(friction)):
-            raise ValueError(f"The friction is {friction}; it must be finite and not negative.")
-        if not 0 < tangential_stiffness_ratio <= 1:
-            raise ValueError(f"The tangential stiffness ratio is {tangential_stiffness_ratio}; it must be in (0, 1].")
-        if not 0 <= tangential_damping_ratio <= 1:
-            raise ValueError(f"The tangential damping ratio is {tangential_damping_ratio}; it must be in [0, 1].")
-        self.stiffness, self.restitution, self.friction = float(stiffness), float(restitution), float(friction)
-        log = abs(np.log(restitution))
-        self.numbers = LawNumbers(self.stiffness, self.stiffness * tangential_stiffness_ratio,
-                                  2 * log / np.hypot(np.pi, log), float(tangential_damping_ratio), self.friction)
+    kind = 0
 
-    def contact_time(self, reduced_mass):
-        """Duration of a collision [s]: pi / sqrt(k/m* - eta^2/(4 m*^2))."""
-        return np.pi * np.sqrt(reduced_mass / self.stiffness) / np.sqrt(1 - self.numbers.damping ** 2 / 4)
+    def __init__(self, stiffness, restitution, friction, tangential_stiffness_ratio=2 / 7, tangential_damping_ratio=0.5,
+                 rolling=None, cohesion=0.0):
+        require_positive("stiffness", stiffness)
+        kt, et = np.asarray(tangential_stiffness_ratio, float), np.asarray(tangential_damping_ratio, float)
+        if not ((kt > 0).all() and (kt <= 1).all()):
+            raise ValueError(f"The tangential stiffness ratio is {kt.tolist()}; it must be in (0, 1].")
+        if not ((et >= 0).all() and (et <= 1).all()):
+            raise ValueError(f"The tangential damping ratio is {et.tolist()}; it must be in [0, 1].")
+        n = materials_of(stiffness, restitution, friction, kt, et, rolling.coefficient if rolling else 0.0, cohesion)
+        self._common(restitution, friction, rolling, cohesion, n)
+        self.table[:, :, 0] = pair_table("stiffness", stiffness, n)
+        self.table[:, :, 1] = self.damping
+        self.table[:, :, 3] = pair_table("tangential stiffness ratio", kt, n)
+        self.table[:, :, 4] = pair_table("tangential damping ratio", et, n)
+        self.stiffness = self.table[:, :, 0].max()
+
+    def contact_time(self, reduced_mass, reduced_radius=None, speed=None):
+        """Duration of the shortest collision [s]: pi / sqrt(k/m* - eta^2/(4 m*^2)), over all pairs of materials."""
+        period = np.pi * np.sqrt(reduced_mass / self.table[:, :, 0]) / np.sqrt(1 - self.damping ** 2 / 4)
+        return float(period.min())
+
+
+class HertzMindlin(_Law):
+    """Hertz's normal force and Mindlin's tangential spring, with the damping of constant restitution.
+
+    F_n = 4/3 E* sqrt(R* overlap) overlap,  k_t = 8 G* sqrt(R* overlap)  (Tsuji et al. 1992; Antypov & Elliott 2011).
+
+    Args:
+        youngs_modulus: E of each material, a number or (materials,) [Pa].
+        poisson_ratio: a number or (materials,), in (-1, 0.5].
+        restitution, friction, rolling, cohesion: as in :class:`LinearSpringDashpot`.
+
+    Raises:
+        ValueError: for a number out of its range or a table of the wrong shape.
+    """
+
+    kind = 1
+
+    def __init__(self, youngs_modulus, poisson_ratio, restitution, friction, rolling=None, cohesion=0.0):
+        require_positive("Young's modulus", youngs_modulus)
+        nu = np.asarray(poisson_ratio, float)
+        if not ((nu > -1).all() and (nu <= 0.5).all()):
+            raise ValueError(f"The Poisson ratio is {nu.tolist()}; it must be in (-1, 0.5].")
+        n = materials_of(youngs_modulus, nu, restitution, friction, rolling.coefficient if rolling else 0.0, cohesion)
+        try:
+            e, nu = np.broadcast_to(np.asarray(youngs_modulus, float), n), np.broadcast_to(nu, n)
+        except ValueError:
+            raise ValueError(f"Young's modulus and Poisson ratio are given for another number of materials than {n}; give one "
+                             f"number each or {n}.") from None
+        self._common(restitution, friction, rolling, cohesion, n)
+        soft, shear = (1 - nu ** 2) / e, 2 * (2 - nu) * (1 + nu) / e
+        self.table[:, :, 0] = 1 / (soft[:, None] + soft)
+        self.table[:, :, 1] = np.sqrt(5 / 6) * self.damping
+        self.table[:, :, 3] = 1 / (shear[:, None] + shear) / self.table[:, :, 0]
+        self.table[:, :, 4] = 1.0
+        self.stiffness = self.table[:, :, 0].max()
+
+    def contact_time(self, reduced_mass, reduced_radius, speed):
+        """Duration of a collision at the relative speed [s]: 2.94328 (15 m* v^2/(16 E* sqrt R*))^0.4 / v."""
+        deepest = (15 * reduced_mass * speed ** 2 / (16 * self.stiffness * np.sqrt(reduced_radius))) ** 0.4
+        return float(2.94328 * deepest / speed)

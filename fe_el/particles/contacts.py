@@ -1,28 +1,37 @@
-"""Contacts between particles and with walls: neighbour lists, ghosts and the sub-steps."""
+"""Contacts between particles and with walls, in sub-steps of a fraction of the contact time."""
 import time
 
 import numpy as np
 from mpi4py import MPI
 
-from fe_el import mesh as _mesh
-from fe_el.exchange import Halo, move
-from fe_el.particles import motion, neighbours, walls as _walls
+from fe_el.particles import contact_lists, motion
+from fe_el.particles.array_law import ArrayLaw, array_forces
 from fe_el.particles.insertion import require_positive
+from fe_el.particles.law_kernels import new_block
+from fe_el.particles.pair_forces import pair_forces
+from fe_el.particles.particles import LostParticle
+from fe_el.particles.wall_shapes import FACETS, FacetWalls, move_walls, shape_forces
+from fe_el.particles.walls import facet_forces
 
 
 class Contacts:
-    """Contacts of particles under a contact law, in sub-steps of a fraction of the contact time.
+    """Contacts of particles under a contact law, by velocity Verlet sub-steps.
 
     Args:
         particles (Particles): the particles.
-        law (LinearSpringDashpot): law of particle-particle contacts.
-        walls: ``(facet_tags, groups)``: boundary facets that are walls; absent: none.
-        wall_law (LinearSpringDashpot): law of wall contacts; absent: ``law``.
+        law: :class:`LinearSpringDashpot`, :class:`HertzMindlin` or :class:`ArrayLaw` of particle-particle contacts.
+        walls: one or a list of :class:`FacetWalls`, :class:`PlaneWall`, :class:`CylinderWall`; ``(facet_tags, groups)`` is
+            short for ``FacetWalls(facet_tags, groups)``; absent: none.
+        wall_law: law of wall contacts; absent: ``law``.
         steps_per_contact (int): sub-steps in the shortest contact.
-        skin (float): reach of the neighbour lists beyond contact [m]; absent: 0.2 of the mean radius.
+        skin (float): reach of the neighbour lists beyond contact [m]; absent: adapted to the motion.
+
+    Attributes:
+        steps_last (int): sub-steps of the last advance.
+        largest_overlap (float): largest overlap over the smaller diameter so far.
 
     Raises:
-        ValueError: for a boundary group without facets, or fewer than 10 steps per contact.
+        ValueError: for a boundary group without facets, fewer than 10 steps per contact, or an unknown wall.
 
     Note:
         Collective.
@@ -34,27 +43,57 @@ class Contacts:
         if skin is not None:
             require_positive("skin", skin)
         self.particles, self.law, self.wall_law = particles, law, wall_law or law
-        self.steps_per_contact, self._skin = steps_per_contact, skin
-        self.facets = _mesh.boundary_facets(particles.mesh, *walls) if walls is not None else None
-        self.layout, self.springs, self.wall_springs = None, None, None
+        self.steps_per_contact = steps_per_contact
+        if isinstance(walls, tuple):
+            walls = FacetWalls(*walls)
+        self.walls = list(np.atleast_1d(np.array(walls, object))) if walls is not None else []
+        for wall in self.walls:
+            if not hasattr(wall, "motion"):
+                raise ValueError(f"{wall!r} is no wall; use FacetWalls, PlaneWall, CylinderWall or (facet_tags, groups).")
+        if self.walls and isinstance(self.wall_law, ArrayLaw):
+            raise ValueError("An ArrayLaw acts between particles only; give walls a wall_law, for instance HertzMindlin.")
+        self._check_materials()
+        self.lists = contact_lists.ContactLists(particles, self.walls, skin, self._spring_width())
+        self.block, self.step, self.layout = new_block(), 1, None
         self.seconds = {"neighbours": 0.0, "contacts": 0.0}
-        self.touching, self.largest_overlap, self.rebuilds, self.steps_last = 0, 0.0, 0, 0
+        self.touching, self.largest_overlap, self.steps_last = 0, 0.0, 0
+
+    def _spring_width(self):
+        rolls = max(getattr(law, "rolls", 0) for law in (self.law, self.wall_law))
+        return 6 if rolls else 3
+
+    def _check_materials(self):
+        for what, indices, law in (("particle", self.particles.material, self.law), *(
+                ("wall", np.array([w.material]), self.wall_law) for w in self.walls)):
+            count = getattr(law, "materials", None)
+            if count and len(indices) and indices.max() >= count:
+                raise ValueError(f"A {what} has material {indices.max()}, but the law has {count} material(s), numbered from 0; "
+                                 "give the law a larger table.")
+
+    @property
+    def rebuilds(self):
+        """How often the neighbour lists were made."""
+        return self.lists.rebuilds
 
     def step_limit(self):
         """Largest sub-step [s]: the shortest contact time in the run over ``steps_per_contact``."""
         p = self.particles
-        lightest = p.comm.allreduce(p.mass.min() if len(p) else np.inf, op=MPI.MIN)
-        if not np.isfinite(lightest):
+        smallest = [p.mass.min(), 0.5 * p.diameter.min(), -p.speed(), -p.diameter.max()] if len(p) else [np.inf] * 2 + [0.0] * 2
+        mass, radius, speed, largest = p.comm.allreduce(np.array(smallest), op=MPI.MIN)
+        if not np.isfinite(mass):
             raise ValueError("There are no particles; insert some before advancing contacts.")
-        pair = self.law.contact_time(lightest / 2)
-        wall = self.wall_law.contact_time(lightest) if self.facets is not None else np.inf
-        return min(pair, wall) / self.steps_per_contact
+        speed = max(-2 * speed, np.sqrt(np.linalg.norm(p.gravity) * -largest), 1e-3)
+        times = [self.law.contact_time(mass / 2, radius / 2, speed)]
+        if self.walls:
+            times.append(self.wall_law.contact_time(mass, radius, speed))
+        return min(times) / self.steps_per_contact
 
     def advance(self, dt):
         """Advance the particles by ``dt`` [s] in velocity Verlet sub-steps."""
         p = self.particles
-        self.steps_last = int(np.ceil(dt / self.step_limit() - 1e-9))
+        self.steps_last = max(int(np.ceil(dt / self.step_limit() - 1e-9)), 1)
         h, done = dt / self.steps_last, 0
+        self.wall_impulse = np.zeros((max(len(self.walls), 1), 3))
         if self.layout != p.layout:
             self._rebuild(h)
             self._first_forces()
@@ -67,37 +106,43 @@ class Contacts:
                 self._rebuild(h)
         external = p.mass[:, None] * p.gravity + p.force
         p.mean_contact_force = motion.mean_force(p.velocity, p.properties.pop("_start_velocity"), p.mass, external, dt)
+        for wall, impulse in zip(self.walls, p.comm.allreduce(self.wall_impulse)):
+            wall.force = impulse * h / dt
 
-    def _pack(self):
-        """State of owned and ghost particles."""
-        p, g = self.particles, self.ghosts
-        grown = lambda a: self.halo.forward(np.concatenate([a, np.zeros((g, *a.shape[1:]))])) if g else a.copy()
-        return grown(p.position), grown(p.velocity), grown(p.angular_velocity)
+    def _rebuild(self, h):
+        tick = time.perf_counter()
+        self._check_materials()
+        self.lists.rebuild(h, self.step, self.layout)
+        self.layout = self.particles.layout
+        self.seconds["neighbours"] += time.perf_counter() - tick
 
     def _run(self, h, most):
         """Sub-steps until the neighbour list is out of date; returns how many."""
-        p, n = self.particles, len(self.particles)
-        x, v, w = self._pack()
+        p, n, lists = self.particles, len(self.particles), self.lists
+        x, v, w = lists.pack()
         mass = p.mass
         external = mass[:, None] * p.gravity + p.force
         force, torque = np.zeros_like(x), np.zeros_like(x)
         force[:n], torque[:n] = external + p.contact_force, p.contact_torque
         inverse_inertia = 10.0 / (mass * p.diameter ** 2)
-        limit, part, steps = (0.5 * self.skin) ** 2, 0.5, 0
+        part, steps, wall_speed = 0.5, 0, lists.wall_speed()
         while steps < most:
-            moved = motion.kick_and_drift(x, v, w, force, torque, external, self.inverse_mass, inverse_inertia, self.x0,
+            moved = motion.kick_and_drift(x, v, w, force, torque, external, lists.inverse_mass, inverse_inertia, lists.x0,
                                           part, h, n)
             part, steps = 1.0, steps + 1
-            if self.ghosts:
-                for a in (x, v, w):
-                    self.halo.forward(a)
+            if lists.ghosts.number:
+                lists.ghosts.forward_position(x)
+                for a in (v, w):
+                    lists.ghosts.forward(a)
                 force[n:] = torque[n:] = 0.0
+            move_walls(lists.kind, lists.shape, lists.motion, h)
             self._forces(x, v, w, force, torque, h)
+            lists.age += 1
             if p.comm.size > 1:
                 moved = p.comm.allreduce(moved, op=MPI.MAX)
-            if not moved <= limit:
+            if not np.sqrt(moved) + wall_speed * h * lists.age <= 0.5 * lists.skin:
                 break
-        motion.kick(v, w, force, torque, self.inverse_mass, inverse_inertia, 0.5 * h, n)
+        motion.kick(v, w, force, torque, lists.inverse_mass, inverse_inertia, 0.5 * h, n)
         p.position, p.velocity, p.angular_velocity = x[:n].copy(), v[:n].copy(), w[:n].copy()
         p.contact_force, p.contact_torque = force[:n] - external, torque[:n].copy()
         return steps
@@ -105,114 +150,38 @@ class Contacts:
     def _first_forces(self):
         """Contact forces of particles that came from outside: the first half kick needs them."""
         p, n = self.particles, len(self.particles)
-        x, v, w = self._pack()
+        x, v, w = self.lists.pack()
         force, torque = np.zeros_like(x), np.zeros_like(x)
         self._forces(x, v, w, force, torque, 0.0)
         p.contact_force, p.contact_torque = force[:n].copy(), torque[:n].copy()
 
     def _forces(self, x, v, w, force, torque, h):
         """Pair and wall forces at one instant, added to ``force`` and ``torque``."""
-        self.touching, overlap = motion.pair_forces(x, v, w, force, torque, self.radius, self.inverse_mass, self.start,
-                                                    self.neighbour, self.springs, self.law.numbers, h)
-        self.largest_overlap = max(self.largest_overlap, overlap)
-        if self.facets is not None:
-            self.touching += _walls.wall_forces(
-                x, v, w, force, torque, self.radius, self.inverse_mass, self.wall_particle, self.wall_start,
-                self.wall_facet, self.wall_springs, self.facets[0], self.facets[1], self.wall_law.numbers, h)
-
-    # -- lists -----------------------------------------------------------------------------------------------------
-
-    def _rebuild(self, h):
-        """Locate, migrate, sort, exchange ghosts and make the neighbour lists, keeping the tangential springs."""
-        tick = time.perf_counter()
-        p, comm = self.particles, self.particles.comm
-        kept = self._collect()
-        largest, total, number = comm.allreduce(p.diameter.max() if len(p) else 0.0, op=MPI.MAX), \
-            comm.allreduce(p.diameter.sum()), comm.allreduce(len(p))
-        self.skin = self._skin or 0.1 * total / number
-        p.reach_halo(2 * (largest + self.skin))
-        if self.facets is not None and getattr(self, "_reach", -1) < largest / 2 + self.skin or \
-                self.facets is not None and self._cells is not p.cells:
-            self._reach, self._cells = largest / 2 + self.skin, p.cells
-            self._candidates = _walls.wall_candidates(p.cells, self.facets[0], self._reach)
-        destination = p.locate()
-        if destination is not None:
-            kept = self._move_springs(kept, destination)
-        order = self._sorted_order(largest + self.skin)
-        place = np.empty_like(order)
-        place[order] = np.arange(len(order))
-        p.select(order)
-        kept = [(place[particle], partner, spring) for particle, partner, spring in kept]
-        self._ghosts(largest + self.skin)
-        self._lists(kept)
-        self.layout, self.x0 = p.layout, p.position.copy()
-        self.rebuilds += 1
-        self.seconds["neighbours"] += time.perf_counter() - tick
-
-    def _collect(self):
-        """Stretched springs of the present lists, of pairs and of walls."""
-        none = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)))
-        if self.springs is None or self.layout != self.particles.layout:
-            return [none, none]
-        n = len(self.particles)
-        every = np.arange(n)
-        pairs = neighbours.collect_springs(self.start, self.neighbour, self.ids, self.springs, n, every, True)
-        if self.facets is None:
-            return [pairs, none]
-        facet_ids = np.arange(len(self.facets[2]))
-        return [pairs, neighbours.collect_springs(self.wall_start, self.wall_facet, facet_ids, self.wall_springs, n,
-                                                  self.wall_particle, False)]
-
-    def _move_springs(self, kept, destination):
-        """Send the springs of particles that changed rank after them."""
-        comm, leaving, out = self.particles.comm, destination != self.particles.comm.rank, []
-        place = np.cumsum(~leaving) - 1
-        arrived_ids = {int(g): k for k, g in enumerate(self.particles.id)}
-        for particle, partner, spring in kept:
-            go = leaving[particle]
-            who = self.ids[particle[go]] if len(particle) else particle
-            ids, other, stretch = move(comm, destination[particle[go]], [who, partner[go], spring[go]])
-            index = np.array([arrived_ids[int(g)] for g in ids], np.int64)
-            out.append((np.concatenate([place[particle[~go]], index]), np.concatenate([partner[~go], other]),
-                        np.concatenate([spring[~go], stretch])))
-        return out
-
-    def _sorted_order(self, size):
-        """Order of the particles by boxes of two reaches, for cache locality."""
-        x = self.particles.position
-        if not len(x):
-            return np.zeros(0, np.int64)
-        box = ((x - x.min(0)) / (2 * size)).astype(np.int64)
-        return np.lexsort((self.particles.id, box[:, 2], box[:, 1], box[:, 0]))
-
-    def _ghosts(self, reach):
-        """Find the particles other ranks need as ghosts: those within reach of a box around their particles."""
-        p, comm = self.particles, self.particles.comm
-        n = len(p)
-        if comm.size == 1:
-            send = receive = [[]]
+        lists, material = self.lists, self.lists.material
+        self.step += 1
+        pairs = (lists.first, lists.second, lists.springs[0], lists.stamps[0])
+        if isinstance(self.law, ArrayLaw):
+            self.touching, overlap = array_forces(self.law, x, v, w, force, torque, lists.radius, lists.inverse_mass, *pairs,
+                                                  self.step, h)
         else:
-            box = (p.position.min(0) - reach, p.position.max(0) + reach) if n else (np.full(3, np.inf), np.full(3, -np.inf))
-            boxes = comm.allgather(box)
-            send = [np.flatnonzero(((p.position >= lo) & (p.position <= hi)).all(1)) if r != comm.rank else []
-                    for r, (lo, hi) in enumerate(boxes)]
-            counts = comm.alltoall([len(s) for s in send])
-            ends = n + np.cumsum(counts)
-            receive = [np.arange(e - c, e) for c, e in zip(counts, ends)]
-        self.halo = Halo(comm, send, receive)
-        self.ghosts = sum(len(r) for r in receive)
-        grown = lambda a: self.halo.forward(np.concatenate([a, np.zeros((self.ghosts, *a.shape[1:]), a.dtype)]))
-        self.radius, self.inverse_mass, self.ids = grown(p.diameter / 2), grown(1 / p.mass), grown(p.id)
+            self.touching, overlap = pair_forces(x, v, w, force, torque, lists.radius, lists.inverse_mass, material, *pairs,
+                                                 self.step, self.block, self.law.numbers, h)
+        self.largest_overlap = max(self.largest_overlap, overlap)
+        if not self.walls:
+            return
+        common = (lists.motion, lists.wall_material, self.wall_impulse, self.block, self.wall_law.numbers, h)
+        state = (x, v, w, force, torque, lists.radius, lists.inverse_mass, material)
+        if lists.facets is not None:
+            self._count(facet_forces(*state, lists.wall_particle, lists.wall_facet, lists.springs[1], lists.stamps[1], self.step,
+                                     lists.facets[0], lists.facets[1], lists.facet_wall, *common))
+        if (lists.kind != FACETS).any():
+            self._count(shape_forces(*state, lists.shape_particle, lists.shape_wall, lists.springs[2], lists.stamps[2],
+                                     self.step, lists.kind, lists.shape, *common))
 
-    def _lists(self, kept):
-        """Neighbour and wall lists with the kept springs."""
-        p = self.particles
-        x, n = self._pack()[0], len(p)
-        self.start, self.neighbour = neighbours.neighbour_list(x, self.radius, n, self.skin)
-        self.springs = neighbours.restore_springs(self.start, self.neighbour, self.ids, np.arange(n), n, *kept[0])
-        if self.facets is not None:
-            self.wall_particle, self.wall_start, self.wall_facet = _walls.wall_list(
-                x, self.radius, p.cell, self.skin, *self._candidates, self.facets[0])
-            facet_ids = np.arange(len(self.facets[2]))
-            self.wall_springs = neighbours.restore_springs(self.wall_start, self.wall_facet, facet_ids,
-                                                           self.wall_particle, n, *kept[1])
+    def _count(self, contacts):
+        if contacts < 0:
+            p, i = self.particles, -1 - contacts
+            raise LostParticle(f"The centre of particle {p.id[i]} went onto or behind a wall near {p.position[i].tolist()} "
+                               f"(step {p.step}, rank {p.comm.rank}): the overlap reached its radius. Use a stiffer contact "
+                               "law, or a smaller step.")
+        self.touching += contacts

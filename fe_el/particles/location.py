@@ -51,10 +51,12 @@ def walk(barycentric, neighbour, shift, cell, point, limit):
 @njit(cache=True)
 def locate_from(barycentric, neighbour, shift, vertex_start, vertex_cells, local_vertex, cell, position):
     """Update ``cell`` for every position, in place; -1 where neither the walk nor the vertex neighbours find it."""
-    missing = 0
+    missing, old = 0, np.empty(3)
     for i in range(len(cell)):
         first = cell[i]
-        old = position[i].copy()
+        if lowest_coordinate(barycentric, first, position[i, 0], position[i, 1], position[i, 2])[1] >= INSIDE:
+            continue
+        old[:] = position[i]
         cell[i] = walk(barycentric, neighbour, shift, first, position[i], 200)
         if cell[i] < 0:
             position[i] = old

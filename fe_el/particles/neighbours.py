@@ -1,97 +1,129 @@
-"""Neighbour lists with a skin, and the tangential springs that survive their renewal."""
+"""Neighbour lists with a skin, and the springs of contacts that survive their renewal.
+
+Particles are binned in one grid per class of diameters (each twice the one before): every particle searches its own class
+and the coarser ones, so the cost follows the number of neighbours however wide the size distribution is.
+"""
 import numpy as np
 from numba import njit
 
 
 @njit(cache=True)
-def _neighbours(x, radius, owned, skin, lower, size, shape, start, neighbour):
-    """Fill the half list of pairs closer than the skin; returns the number of pairs (beyond the capacity: only counted)."""
-    m = len(x)
-    head, following = np.full(shape.prod(), -1, np.int32), np.empty(m, np.int32)
-    box = np.empty((m, 3), np.int32)
-    for i in range(m - 1, -1, -1):
-        for k in range(3):
-            box[i, k] = min(max(int((x[i, k] - lower[k]) / size), 0), shape[k] - 1)
-        b = (box[i, 0] * shape[1] + box[i, 1]) * shape[2] + box[i, 2]
-        following[i], head[b] = head[b], i
-    number = 0
-    for i in range(owned):
-        start[i] = number
-        for a in range(max(box[i, 0] - 1, 0), min(box[i, 0] + 2, shape[0])):
-            for b in range(max(box[i, 1] - 1, 0), min(box[i, 1] + 2, shape[1])):
-                for c in range(max(box[i, 2] - 1, 0), min(box[i, 2] + 2, shape[2])):
-                    j = head[(a * shape[1] + b) * shape[2] + c]
-                    while j >= 0:
-                        if j > i:
-                            dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
-                            reach = radius[i] + radius[j] + skin
-                            if dx * dx + dy * dy + dz * dz < reach * reach:
-                                if number < len(neighbour):
-                                    neighbour[number] = j
-                                number += 1
-                        j = following[j]
-    start[owned] = number
-    return number
-
-
-def neighbour_list(x, radius, owned, skin):
-    """Half list of neighbours: (start (owned + 1,), neighbour (pairs,)); pair k of i is (i, neighbour[start[i] + k])."""
-    start = np.zeros(owned + 1, np.int64)
-    if owned == 0:
-        return start, np.empty(0, np.int32)
-    size = 2 * radius.max() + skin
-    lower, extent = x.min(0), np.ptp(x, 0)
-    while (extent / size + 1).prod() > 8 * len(x) + 64:  # sparse clouds: no more boxes than particles need
-        size *= 1.3
-    shape = (extent / size).astype(np.int64) + 1
-    neighbour = np.empty(8 * len(x) + 64, np.int32)
-    number = _neighbours(x, radius, owned, skin, lower, size, shape, start, neighbour)
-    if number > len(neighbour):
-        neighbour = np.empty(number, np.int32)
-        _neighbours(x, radius, owned, skin, lower, size, shape, start, neighbour)
-    return start, neighbour[:number].copy()
+def _classes(radius, smallest, count):
+    """Size class of each particle, and the largest radius of each class."""
+    level, largest = np.empty(len(radius), np.int32), np.zeros(count)
+    for i in range(len(radius)):
+        level[i] = min(int(np.log2(radius[i] / smallest * (1 + 1e-12))), count - 1)
+        largest[level[i]] = max(largest[level[i]], radius[i])
+    return level, largest
 
 
 @njit(cache=True)
-def collect_springs(start, other, ids, spring, owned, of_particle, mirror):
-    """Springs that are stretched: (particle, other's id, spring), for both partners where ``mirror`` is set."""
+def _search(x, radius, level, owned, skin, lower, size, shape, offset, first, second):
+    """Fill the pairs closer than the skin, the first one owned; returns their number (beyond the capacity: only counted)."""
+    m, grids = len(x), len(size)
+    head, following = np.full(offset[grids], -1, np.int32), np.empty(m, np.int32)
+    for i in range(m - 1, -1, -1):
+        g, b = level[i], 0
+        for k in range(3):
+            b = b * shape[g, k] + min(max(int((x[i, k] - lower[k]) / size[g]), 0), shape[g, k] - 1)
+        b += offset[g]
+        following[i], head[b] = head[b], i
+    number, at = 0, np.empty(3, np.int64)
+    for i in range(m):
+        for g in range(level[i], grids):
+            for k in range(3):
+                at[k] = min(max(int((x[i, k] - lower[k]) / size[g]), 0), shape[g, k] - 1)
+            for a in range(max(at[0] - 1, 0), min(at[0] + 2, shape[g, 0])):
+                for b in range(max(at[1] - 1, 0), min(at[1] + 2, shape[g, 1])):
+                    for c in range(max(at[2] - 1, 0), min(at[2] + 2, shape[g, 2])):
+                        j = head[offset[g] + (a * shape[g, 1] + b) * shape[g, 2] + c]
+                        while j >= 0:
+                            if (g > level[i] or j > i) and (i < owned or j < owned):
+                                dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+                                reach = radius[i] + radius[j] + skin
+                                if dx * dx + dy * dy + dz * dz < reach * reach:
+                                    if number < len(first):
+                                        swap = i >= owned
+                                        first[number], second[number] = (j, i) if swap else (i, j)
+                                    number += 1
+                            j = following[j]
+    return number
+
+
+@njit(cache=True)
+def _by_first(first, second, owned):
+    """The pairs in the order of their first particle."""
+    start = np.zeros(owned + 1, np.int64)
+    for i in first:
+        start[i + 1] += 1
+    for i in range(owned):
+        start[i + 1] += start[i]
+    a, b = np.empty_like(first), np.empty_like(second)
+    for k in range(len(first)):
+        n = start[first[k]]
+        a[n], b[n] = first[k], second[k]
+        start[first[k]] += 1
+    return a, b
+
+
+def neighbour_pairs(x, radius, owned, skin):
+    """Pairs (first, second) closer than the skin, each once, the first one owned, in the order of the first."""
+    empty = np.empty(0, np.int32)
+    if owned == 0:
+        return empty, empty
+    count = int(np.log2(radius.max() / radius.min() * (1 + 1e-12))) + 1
+    level, largest = _classes(radius, radius.min(), count)
+    lower, extent = x.min(0), np.ptp(x, 0)
+    size = 2 * np.maximum(largest, radius.min()) + skin
+    shape = np.empty((count, 3), np.int64)
+    for g in range(count):
+        while (extent / size[g] + 1).prod() > 4 * len(x) + 64:  # sparse clouds: no more boxes than particles need
+            size[g] *= 1.3
+        shape[g] = (extent / size[g]).astype(np.int64) + 1
+    offset = np.concatenate([[0], np.cumsum(shape.prod(1))])
+    capacity = 6 * len(x) + 64
+    first, second = np.empty(capacity, np.int32), np.empty(capacity, np.int32)
+    number = _search(x, radius, level, owned, skin, lower, size, shape, offset, first, second)
+    if number > capacity:
+        first, second = np.empty(number, np.int32), np.empty(number, np.int32)
+        _search(x, radius, level, owned, skin, lower, size, shape, offset, first, second)
+    return _by_first(first[:number], second[:number], owned)
+
+
+@njit(cache=True)
+def collect_springs(first, partner_id, spring, live, mirror, second, owned, ids):
+    """Springs of the live contacts: (particle, partner's id, spring), for both partners where ``mirror`` is set."""
     number = 0
-    for k in range(len(other)):
-        if spring[k, 0] != 0 or spring[k, 1] != 0 or spring[k, 2] != 0:
-            number += 2 if mirror and other[k] < owned else 1
-    particle, partner, stretch = np.empty(number, np.int64), np.empty(number, np.int64), np.empty((number, 3))
-    number = 0
-    for n in range(len(start) - 1):
-        i = of_particle[n]
-        for k in range(start[n], start[n + 1]):
-            if spring[k, 0] != 0 or spring[k, 1] != 0 or spring[k, 2] != 0:
-                particle[number], partner[number], stretch[number] = i, ids[other[k]], spring[k]
-                number += 1
-                if mirror and other[k] < owned:
-                    particle[number], partner[number], stretch[number] = other[k], ids[i], -spring[k]
-                    number += 1
+    for k in range(len(first)):
+        if live[k]:
+            number += 2 if mirror and second[k] < owned else 1
+    particle, partner = np.empty(number, np.int64), np.empty(number, np.int64)
+    stretch, n = np.empty((number, spring.shape[1])), 0
+    for k in range(len(first)):
+        if live[k]:
+            particle[n], partner[n], stretch[n] = first[k], partner_id[k], spring[k]
+            n += 1
+            if mirror and second[k] < owned:
+                particle[n], partner[n], stretch[n] = second[k], ids[first[k]], -spring[k]
+                n += 1
     return particle, partner, stretch
 
 
 @njit(cache=True)
-def restore_springs(start, other, ids, of_particle, owned, particle, partner, stretch):
-    """Springs (pairs, 3) of a new list from collected ones."""
-    first = np.zeros(owned + 1, np.int64)
+def restore_springs(first, partner_id, owned, particle, partner, stretch, spring, live):
+    """Copy collected springs to the contacts of a new list and mark these as live."""
+    start = np.zeros(owned + 1, np.int64)
     for i in particle:
-        first[i + 1] += 1
+        start[i + 1] += 1
     for i in range(owned):
-        first[i + 1] += first[i]
-    order, at = np.empty(len(particle), np.int64), first.copy()
+        start[i + 1] += start[i]
+    order, at = np.empty(len(particle), np.int64), start.copy()
     for k in range(len(particle)):
         order[at[particle[k]]] = k
         at[particle[k]] += 1
-    spring = np.zeros((len(other), 3))
-    for n in range(len(start) - 1):
-        i = of_particle[n]
-        if first[i + 1] == first[i]:
-            continue
-        for k in range(start[n], start[n + 1]):
-            for s in range(first[i], first[i + 1]):
-                if partner[order[s]] == ids[other[k]]:
-                    spring[k] = stretch[order[s]]
-    return spring
+    for k in range(len(first)):
+        i = first[k]
+        for s in range(start[i], start[i + 1]):
+            if partner[order[s]] == partner_id[k]:
+                spring[k] = stretch[order[s]]
+                live[k] = True

@@ -8,6 +8,8 @@ from fe_el.particles import insertion, location
 FIELDS = {"position": (3,), "velocity": (3,), "angular_velocity": (3,), "diameter": (), "density": (), "force": (3,),
           "contact_force": (3,), "contact_torque": (3,), "mean_contact_force": (3,)}
 
+INTEGERS = ("cell", "id", "material")
+
 
 class LostParticle(RuntimeError):
     """A particle is in no cell of the mesh."""
@@ -39,7 +41,8 @@ class Particles:
         self.outlet_planes = []
         for name, shape in FIELDS.items():
             setattr(self, name, np.zeros((0, *shape)))
-        self.cell, self.id = np.zeros(0, np.int32), np.zeros(0, np.int64)
+        self.cell, self.id, self.material = np.zeros(0, np.int32), np.zeros(0, np.int64), np.zeros(0, np.int32)
+        self.period = getattr(mesh, "period", None)
         self.properties, self.next_id, self.layout = {}, 0, 0
         self.reach_halo(0.0)
 
@@ -61,11 +64,15 @@ class Particles:
         """(particles,) mass [kg]."""
         return self.density * self.volume
 
+    def speed(self):
+        """Largest speed of a particle on this rank [m/s]. Not collective."""
+        return float(np.sqrt((self.velocity ** 2).sum(1).max(initial=0.0)))
+
     def reach_halo(self, width):
         """Make the halo of cells at least ``width`` wide [m]."""
         if width > self.halo_width:
             self.halo_width = width
-            self.cells, self.halo = _mesh.cell_mesh(self.mesh, width, self.thickness)
+            self.cells, self.halo = _mesh.cell_mesh(self.mesh, width, self.thickness, self.period)
             self.search = location.CellSearch(self.cells)
             number = len(self.cells.volume)
             self._cell_owner = (self.halo.forward(np.full(number, self.comm.rank, np.int32)),
@@ -73,8 +80,10 @@ class Particles:
 
     # -- insertion -------------------------------------------------------------------------------------------------
 
-    def insert_at(self, position, diameter, density=None, velocity=0.0):
+    def insert_at(self, position, diameter, density=None, velocity=0.0, material=0):
         """Insert particles at positions (particles, 2 or 3) [m], given alike on every rank.
+
+        ``material`` is the index (one, or one per particle) into the table of the contact law.
 
         Raises:
             ValueError: for a position outside the mesh, not finite, or a diameter or density that is not positive.
@@ -93,6 +102,10 @@ class Particles:
             setattr(self, name, np.concatenate([getattr(self, name), new[name]]))
         self.cell = np.concatenate([self.cell, cell[mine]])
         self.id = np.concatenate([self.id, self.next_id + mine])
+        material = np.broadcast_to(np.asarray(material, np.int32), len(x))
+        if material.min() < 0:
+            raise ValueError(f"The material is {material.min()}; give indices of materials, 0 or more.")
+        self.material = np.concatenate([self.material, material[mine]])
         for name, a in self.properties.items():
             self.properties[name] = np.concatenate([a, np.zeros((len(mine), *a.shape[1:]), a.dtype)])
         self.next_id += len(x)
@@ -126,12 +139,12 @@ class Particles:
 
     def arrays(self):
         """Names and arrays of everything that travels with a particle."""
-        own = {name: getattr(self, name) for name in (*FIELDS, "cell", "id")}
+        own = {name: getattr(self, name) for name in (*FIELDS, *INTEGERS)}
         return own, self.properties
 
     def select(self, rows):
         """Keep the given rows, in that order."""
-        for name in (*FIELDS, "cell", "id"):
+        for name in (*FIELDS, *INTEGERS):
             setattr(self, name, np.ascontiguousarray(getattr(self, name)[rows]))
         self.properties = {name: a[rows] for name, a in self.properties.items()}
         self.layout += 1

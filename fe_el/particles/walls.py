@@ -10,9 +10,10 @@ import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
-from fe_el.particles.motion import FAST, contact_force
+from fe_el.particles.law_kernels import BLOCK, FAST, apply_law, constant_rows, material_row
 
-MOST = 32  # facets a sphere may touch at once
+B = BLOCK
+MOST = 64  # facets a sphere may touch at once
 
 
 def wall_candidates(cells, facet_corner, reach):
@@ -21,10 +22,25 @@ def wall_candidates(cells, facet_corner, reach):
     radius = np.sqrt(((cells.corner - centre[:, None]) ** 2).sum(2).max(1))
     middle = facet_corner.mean(1)
     size = np.sqrt(((facet_corner - middle[:, None]) ** 2).sum(2).max(1))
-    tree = cKDTree(middle)
-    near = tree.query_ball_point(centre, radius + size.max() + reach, return_sorted=True)
+    near = cKDTree(middle).query_ball_point(centre, radius + size.max() + reach, return_sorted=True)
     start = np.concatenate([[0], np.cumsum([len(k) for k in near])]).astype(np.int64)
-    return start, np.concatenate([np.asarray(k, np.int32) for k in near]).astype(np.int32)
+    facet = np.concatenate([np.asarray(k, np.int32) for k in near]).astype(np.int32)
+    return _closer(centre, radius + reach, start, facet, facet_corner)
+
+
+@njit(cache=True)
+def _closer(centre, reach, start, facet, corner):
+    """Keep the facets whose nearest point is within reach of each centre."""
+    new, kept, number = np.zeros_like(start), np.empty_like(facet), 0
+    for c in range(len(centre)):
+        x, y, z = centre[c]
+        for k in range(start[c], start[c + 1]):
+            qx, qy, qz, _, _, _ = nearest_point(corner[facet[k]], x, y, z)
+            if (qx - x) ** 2 + (qy - y) ** 2 + (qz - z) ** 2 <= reach[c] * reach[c]:
+                kept[number] = facet[k]
+                number += 1
+        new[c + 1] = number
+    return new, kept[:number].copy()
 
 
 @njit(cache=True, fastmath=FAST)
@@ -65,65 +81,144 @@ def nearest_point(corner, x, y, z):
     return ax + v * bx + u * cx, ay + v * by + u * cy, az + v * bz + u * cz, 1.0 - v - u, v, u
 
 
+def facet_balls(corner):
+    """Bounding sphere and unit normal of each facet: (facets, 7), for a quick test before the nearest point."""
+    middle = corner.mean(1)
+    size = np.sqrt(((corner - middle[:, None]) ** 2).sum(2).max(1))
+    last = corner[:, 2] - corner[:, 0] if corner.shape[1] == 3 else np.tile([0.0, 0.0, 1.0], (len(corner), 1))
+    normal = np.cross(corner[:, 1] - corner[:, 0], last)
+    return np.column_stack([middle, size, normal / np.linalg.norm(normal, axis=1)[:, None]])
+
+
 @njit(cache=True)
-def wall_list(x, radius, cell, skin, cell_start, cell_facet, corner):
-    """Facets within the skin of each particle: (particles near walls, start, facet)."""
-    particle, start, facet = [0 for _ in range(0)], [0], [0 for _ in range(0)]
+def _list(x, radius, cell, skin, cell_start, cell_facet, corner, ball, particle, facet):
+    number = 0
     for i in range(len(cell)):
-        before = len(facet)
+        reach = radius[i] + skin
         for k in range(cell_start[cell[i]], cell_start[cell[i] + 1]):
             f = cell_facet[k]
+            dx, dy, dz, far = x[i, 0] - ball[f, 0], x[i, 1] - ball[f, 1], x[i, 2] - ball[f, 2], reach + ball[f, 3]
+            if dx * dx + dy * dy + dz * dz > far * far or abs(dx * ball[f, 4] + dy * ball[f, 5] + dz * ball[f, 6]) > reach:
+                continue
             qx, qy, qz, _, _, _ = nearest_point(corner[f], x[i, 0], x[i, 1], x[i, 2])
-            reach = radius[i] + skin
             if (qx - x[i, 0]) ** 2 + (qy - x[i, 1]) ** 2 + (qz - x[i, 2]) ** 2 < reach * reach:
-                facet.append(f)
-        if len(facet) > before:
-            particle.append(i)
-            start.append(len(facet))
-    return np.array(particle, dtype=np.int64), np.array(start, dtype=np.int64), np.array(facet, dtype=np.int32)
+                if number < len(particle):
+                    particle[number], facet[number] = i, f
+                number += 1
+    return number
+
+
+def wall_list(x, radius, cell, skin, cell_start, cell_facet, corner, ball):
+    """Facets within the skin of each particle: (particle, facet), in the order of the particles."""
+    capacity = 2 * len(cell) + 64
+    while True:
+        particle, facet = np.empty(capacity, np.int32), np.empty(capacity, np.int32)
+        number = _list(x, radius, cell, skin, cell_start, cell_facet, corner, ball, particle, facet)
+        if number <= capacity:
+            return particle[:number].copy(), facet[:number].copy()
+        capacity = number
+
+
+@njit(cache=True, fastmath=FAST, inline="always")
+def gather_wall(b, m, i, px, py, pz, motion, x, v, w, radius, inverse_mass, spring, at, keep, numbers):
+    """Rows of one contact of particle i with the wall point p; ``motion`` is the wall's origin, velocity and rotation."""
+    dx, dy, dz = x[i, 0] - px, x[i, 1] - py, x[i, 2] - pz
+    b[m], b[m + B], b[m + 2 * B] = dx, dy, dz
+    b[m + 3 * B], b[m + 4 * B] = dx * dx + dy * dy + dz * dz, radius[i]
+    ox, oy, oz = px - motion[0], py - motion[1], pz - motion[2]
+    b[m + 5 * B] = v[i, 0] - motion[3] - (motion[7] * oz - motion[8] * oy)
+    b[m + 6 * B] = v[i, 1] - motion[4] - (motion[8] * ox - motion[6] * oz)
+    b[m + 7 * B] = v[i, 2] - motion[5] - (motion[6] * oy - motion[7] * ox)
+    b[m + 14 * B], b[m + 20 * B] = inverse_mass[i], radius[i]
+    for k in range(3):
+        b[m + (8 + k) * B] = radius[i] * w[i, k]
+        b[m + (11 + k) * B] = keep * spring[at, k]
+    if numbers.rolls > 0:
+        for k in range(3):
+            b[m + (21 + k) * B] = w[i, k] - motion[6 + k]
+            b[m + (24 + k) * B] = keep * spring[at, 3 + k]
 
 
 @njit(cache=True, fastmath=FAST)
-def wall_forces(x, v, w, force, torque, radius, inverse_mass, particle, start, facet, spring, corner, vertex, law, h):
-    """Add the contact forces of walls; returns the number of contacts."""
-    touching, sides = 0, corner.shape[1]
+def finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, torque, radius, spring,
+                 wall_force):
+    """Apply the law to a block of wall contacts and give particles and walls their forces."""
+    if not uniform:
+        for n in range(m):
+            material_row(b, n, numbers, material[who[n]], wall_material[wall_of[n]])
+    apply_law(b, m, h, numbers)
+    for n in range(m):
+        i, k = who[n], at[n]
+        for q in range(3):
+            spring[k, q] = b[n + (11 + q) * B]
+            force[i, q] += b[n + (5 + q) * B]
+            wall_force[wall_of[n], q] -= b[n + (5 + q) * B]
+            torque[i, q] += radius[i] * b[n + (8 + q) * B]
+        if numbers.rolls > 0:
+            for q in range(3):
+                spring[k, 3 + q] = b[n + (24 + q) * B]
+                torque[i, q] += b[n + (21 + q) * B]
+
+
+@njit(cache=True, fastmath=FAST)
+def facet_forces(x, v, w, force, torque, radius, inverse_mass, material, particle, facet, spring, stamp, step, corner, vertex,
+                 facet_wall, motion, wall_material, wall_force, b, numbers, h):
+    """Add the contact forces of wall facets; returns the number of contacts, or -1 - i where the centre of i is on a wall."""
+    touching, sides, m, k, total, bad = 0, corner.shape[1], 0, 0, len(particle), 0
     point, weight, slot = np.empty((MOST, 3)), np.empty((MOST, 3)), np.empty(MOST, np.int64)
-    for n in range(len(particle)):
-        i, near = particle[n], 0
-        for k in range(start[n], start[n + 1]):
-            qx, qy, qz, a, b, c = nearest_point(corner[facet[k]], x[i, 0], x[i, 1], x[i, 2])
+    contact = np.empty(MOST, np.bool_)
+    who, at, wall_of = np.empty(B, np.int64), np.empty(B, np.int64), np.empty(B, np.int64)
+    uniform = constant_rows(b, numbers)
+    while k < total:
+        i, near = particle[k], 0
+        while k < total and particle[k] == i:
+            f = facet[k]
+            qx, qy, qz, wa, wb, wc = nearest_point(corner[f], x[i, 0], x[i, 1], x[i, 2])
             d2 = (qx - x[i, 0]) ** 2 + (qy - x[i, 1]) ** 2 + (qz - x[i, 2]) ** 2
             if d2 < radius[i] * radius[i] and near < MOST:
                 point[near, 0], point[near, 1], point[near, 2] = qx, qy, qz
-                weight[near, 0], weight[near, 1], weight[near, 2] = a, b, c
+                weight[near, 0], weight[near, 1], weight[near, 2] = wa, wb, wc
                 slot[near] = k
                 near += 1
-            elif near == 0 or d2 >= radius[i] * radius[i]:
-                spring[k, 0] = spring[k, 1] = spring[k, 2] = 0.0
-        for m in range(near):
-            k = slot[m]
-            if not _is_contact(m, near, slot, facet, vertex, weight, point, 1e-6 * radius[i], sides):
-                _hand_over(m, near, slot, facet, vertex, weight, point, spring, 1e-6 * radius[i], sides)
-                continue
-            dx, dy, dz = x[i, 0] - point[m, 0], x[i, 1] - point[m, 1], x[i, 2] - point[m, 2]
-            r = math.sqrt(dx * dx + dy * dy + dz * dz)
-            if r == 0.0:
-                continue
-            nx, ny, nz = dx / r, dy / r, dz / r
-            ux = v[i, 0] - r * (w[i, 1] * nz - w[i, 2] * ny)
-            uy = v[i, 1] - r * (w[i, 2] * nx - w[i, 0] * nz)
-            uz = v[i, 2] - r * (w[i, 0] * ny - w[i, 1] * nx)
-            gx, gy, gz, spring[k, 0], spring[k, 1], spring[k, 2] = contact_force(
-                nx, ny, nz, radius[i] - r, ux, uy, uz, spring[k, 0], spring[k, 1], spring[k, 2], inverse_mass[i],
-                law, h)
-            force[i, 0] += gx
-            force[i, 1] += gy
-            force[i, 2] += gz
-            torque[i, 0] += r * (gy * nz - gz * ny)
-            torque[i, 1] += r * (gz * nx - gx * nz)
-            torque[i, 2] += r * (gx * ny - gy * nx)
-            touching += 1
-    return touching
+            k += 1
+        if near == 0:
+            continue
+        moved = False
+        for n in range(near):
+            contact[n] = near == 1 or _is_contact(n, near, slot, facet, vertex, weight, point, 1e-6 * radius[i], sides)
+            moved |= not contact[n] and stamp[slot[n]] == step - 1
+        if moved:
+            _hand_over(near, slot, contact, spring, stamp, step)
+        for n in range(near):
+            if contact[n]:
+                s = slot[n]
+                who[m], at[m], wall_of[m] = i, s, facet_wall[facet[s]]
+                gather_wall(b, m, i, point[n, 0], point[n, 1], point[n, 2], motion[wall_of[m]], x, v, w, radius,
+                            inverse_mass, spring, s, 1.0 if stamp[s] == step - 1 else 0.0, numbers)
+                if not b[m + 3 * B] > 0:
+                    bad = -1 - i
+                stamp[s] = step
+                m += 1
+        if m >= B - MOST:
+            finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, torque, radius, spring,
+                         wall_force)
+            touching, m = touching + m, 0
+    finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, torque, radius, spring,
+                 wall_force)
+    return bad if bad < 0 else touching + m
+
+
+@njit(cache=True)
+def _hand_over(near, slot, contact, spring, stamp, step):
+    """Give the springs of facets that are no longer the contact to the facet the contact has rolled onto."""
+    for n in range(near):
+        if contact[n] or stamp[slot[n]] != step - 1:
+            continue
+        for o in range(near):
+            if contact[o] and stamp[slot[o]] != step - 1:
+                spring[slot[o]] = spring[slot[n]]
+                stamp[slot[o]] = step - 1
+                break
 
 
 @njit(cache=True)
@@ -155,18 +250,3 @@ def _holds_feature(other, own, vertex, weight, sides):
             if not found:
                 return False
     return positive < sides
-
-
-@njit(cache=True)
-def _hand_over(m, near, slot, facet, vertex, weight, point, spring, tolerance, sides):
-    """Give the spring of a nearest point that is no contact to the facet the contact has rolled onto."""
-    k = slot[m]
-    if spring[k, 0] == 0 and spring[k, 1] == 0 and spring[k, 2] == 0:
-        return
-    for o in range(near):
-        s = slot[o]
-        if o != m and spring[s, 0] == 0 and spring[s, 1] == 0 and spring[s, 2] == 0 and \
-                _is_contact(o, near, slot, facet, vertex, weight, point, tolerance, sides):
-            spring[s] = spring[k]
-            break
-    spring[k] = 0.0

@@ -1,0 +1,168 @@
+"""The lists that contacts run on: ghosts, neighbour pairs, particles near walls, and the springs of each."""
+import numpy as np
+from mpi4py import MPI
+
+from fe_el import mesh as _mesh
+from fe_el.exchange import move
+from fe_el.particles import neighbours, walls as _walls
+from fe_el.particles.ghosts import Ghosts
+from fe_el.particles.wall_shapes import FACETS, shape_list
+
+SORT_EVERY = 8  # rebuilds
+
+
+class ContactLists:
+    """Neighbour pairs, facet contacts and contacts with planes and cylinders, kept within a skin.
+
+    Args:
+        particles (Particles): the particles.
+        walls: list of walls.
+        skin (float): reach beyond contact [m]; absent: adapted so that a list lasts some tens of sub-steps.
+        width (int): numbers kept per contact: 3, or 6 with rolling friction.
+    """
+
+    def __init__(self, particles, walls, skin, width):
+        self.particles, self.walls, self._skin, self.width = particles, walls, skin, width
+        self.skin, self.age, self.rebuilds, self._reach, self._cells = skin, 0, 0, -1.0, None
+        parts = [(_mesh.boundary_facets(particles.mesh, w.facet_tags, w.groups), k) for k, w in enumerate(walls)
+                 if w.kind == FACETS]
+        self.facets = None
+        if parts:
+            self.facets = tuple(np.concatenate([f[i] for f, _ in parts]) for i in range(3))
+            self.balls = _walls.facet_balls(self.facets[0])
+            self.facet_wall = np.concatenate([np.full(len(f[2]), k, np.int64) for f, k in parts])
+        self.kind = np.array([w.kind for w in walls] or [FACETS], np.int64)
+        self.shape = np.array([getattr(w, "shape", np.zeros(4)) for w in walls] or [np.zeros(4)])
+        self.motion = np.array([w.motion() for w in walls] or [np.zeros(9)])
+        self.wall_material = np.array([w.material for w in walls] or [0], np.int64)
+        self.springs = None
+
+    def wall_speed(self):
+        """Largest speed of a wall that moves [m/s]."""
+        moving = self.motion[self.kind != FACETS]
+        if not len(moving):
+            return 0.0
+        size = np.ptp(self.particles.position, 0).max(initial=0.0) if len(self.particles) else 0.0
+        return float((np.linalg.norm(moving[:, 3:6], axis=1) + np.linalg.norm(moving[:, 6:], axis=1) * size).max())
+
+    def pack(self):
+        """Position, velocity and angular velocity of owned and ghost particles."""
+        p, g = self.particles, self.ghosts
+        x = g.grow(p.position)
+        x[g.owned:] += g.shift
+        return x, g.grow(p.velocity), g.grow(p.angular_velocity)
+
+    # -- renewal -------------------------------------------------------------------------------------------------------
+
+    def rebuild(self, h, step, layout):
+        """Locate, migrate, sort, exchange ghosts and make the lists, keeping the springs of live contacts."""
+        p, comm = self.particles, self.particles.comm
+        kept = self._collect(step, layout)
+        largest, speed = comm.allreduce(np.array([p.diameter.max(), p.speed()]) if len(p) else np.zeros(2), op=MPI.MAX)
+        total = comm.allreduce(np.array([p.diameter.sum(), len(p)]))
+        self._choose_skin(total[0] / total[1], largest, speed, h)
+        self._check_period(largest)
+        p.reach_halo(2 * (largest + self.skin))
+        if self.facets is not None and (self._reach < largest / 2 + self.skin or self._cells is not p.cells):
+            self._reach, self._cells = 1.2 * (largest / 2 + self.skin), p.cells
+            self._candidates = _walls.wall_candidates(p.cells, self.facets[0], self._reach)
+        destination = p.locate()
+        if destination is not None:
+            kept = self._move_springs(kept, destination)
+        if self.rebuilds % SORT_EVERY == 0 or layout is None:
+            kept = self._sort(kept, largest + self.skin)
+        self.ghosts = Ghosts(comm, p.position, largest + self.skin, p.period)
+        self.radius, self.inverse_mass = self.ghosts.grow(p.diameter / 2), self.ghosts.grow(1 / p.mass)
+        self.ids, self.material = self.ghosts.grow(p.id), self.ghosts.grow(p.material)
+        self._lists(kept, step)
+        self.x0, self.age = p.position.copy(), 0
+        self.rebuilds += 1
+
+    def _choose_skin(self, mean, largest, speed, h):
+        """A skin that lasts some tens of sub-steps; always several sub-steps of the fastest particle."""
+        if self._skin is None:
+            if self.skin is None:
+                self.skin = 0.1 * mean
+            elif self.age < 15:
+                self.skin *= 1.25
+            elif self.age > 80:
+                self.skin *= 0.9
+            self.skin = min(max(self.skin, 0.04 * mean), 0.4 * mean)
+            self.skin = max(self.skin, 6 * h * speed)
+        elif 4 * h * speed > self.skin:
+            raise ValueError(f"The fastest particle moves {h * speed:g} m in one sub-step of {h:g} s, too much for the skin of "
+                             f"{self.skin:g} m; leave skin= out, or use more steps_per_contact.")
+        if self.skin > 2 * largest:
+            raise FloatingPointError(f"The fastest particle (velocity {speed:g} m/s) moves {h * speed:g} m in one sub-step of "
+                                     f"{h:g} s, more than a third of the largest diameter {largest:g} m: contacts would be "
+                                     f"missed. Use a step below {0.2 * largest / speed:g} s: more steps_per_contact, or a "
+                                     "stiffer law.")
+
+    def _check_period(self, largest):
+        p, need = self.particles, 2 * (largest + self.skin)
+        if p.period is not None and ((p.period > 0) & (p.period < need)).any():
+            raise ValueError(f"The periodic box has lengths {p.period.tolist()}; contacts of particles of diameter {largest:g} m "
+                             f"need at least {need:g} m in every periodic direction.")
+
+    def _sort(self, kept, size):
+        """Order the particles by boxes of two reaches, for cache locality."""
+        p = self.particles
+        if not len(p):
+            return kept
+        box = ((p.position - p.position.min(0)) / (2 * size)).astype(np.int64)
+        order = np.lexsort((p.id, box[:, 2], box[:, 1], box[:, 0]))
+        place = np.empty_like(order)
+        place[order] = np.arange(len(order))
+        p.select(order)
+        return [(place[particle], partner, spring) for particle, partner, spring in kept]
+
+    def _collect(self, step, layout):
+        """Springs of the live contacts of the present lists."""
+        none = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, self.width)))
+        if self.springs is None or layout != self.particles.layout:
+            return [none] * 3
+        n, out = len(self.particles), []
+        empty = np.zeros(0, np.int32)
+        for k, (first, partner) in enumerate(self._partners()):
+            out.append(neighbours.collect_springs(first, partner, self.springs[k], self.stamps[k] == step, k == 0,
+                                                  self.second if k == 0 else empty, n, self.ids))
+        return out
+
+    def _partners(self):
+        """First particle and the partner's lasting number, of each list."""
+        return ((self.first, self.ids[self.second]), (self.wall_particle, self.wall_facet.astype(np.int64)),
+                (self.shape_particle, self.shape_wall.astype(np.int64)))
+
+    def _move_springs(self, kept, destination):
+        """Send the springs of particles that changed rank after them."""
+        comm, leaving, out = self.particles.comm, destination != self.particles.comm.rank, []
+        place = np.cumsum(~leaving) - 1
+        arrived = {int(g): k for k, g in enumerate(self.particles.id)}
+        for particle, partner, spring in kept:
+            go = leaving[particle]
+            who = self.ids[particle[go]] if len(particle) else particle
+            ids, other, stretch = move(comm, destination[particle[go]], [who, partner[go], spring[go]])
+            index = np.array([arrived[int(g)] for g in ids], np.int64)
+            out.append((np.concatenate([place[particle[~go]], index]), np.concatenate([partner[~go], other]),
+                        np.concatenate([spring[~go], stretch])))
+        return out
+
+    def _lists(self, kept, step):
+        """Pairs, facets and shapes near each particle, with the kept springs."""
+        p = self.particles
+        x, n = self.ghosts.grow(p.position), len(p)
+        x[n:] += self.ghosts.shift
+        self.first, self.second = neighbours.neighbour_pairs(x, self.radius, n, self.skin)
+        empty = np.zeros(0, np.int32)
+        self.wall_particle = self.wall_facet = self.shape_particle = self.shape_wall = empty
+        if self.facets is not None:
+            self.wall_particle, self.wall_facet = _walls.wall_list(x, self.radius, p.cell, self.skin, *self._candidates,
+                                                                   self.facets[0], self.balls)
+        if (self.kind != FACETS).any():
+            self.shape_particle, self.shape_wall = shape_list(x, self.radius, n, self.skin, self.kind, self.shape, self.motion)
+        self.springs, self.stamps = [], []
+        for (first, partner), old in zip(self._partners(), kept):
+            spring, live = np.zeros((len(first), self.width)), np.zeros(len(first), np.bool_)
+            neighbours.restore_springs(first, partner, n, *old, spring, live)
+            self.springs.append(spring)
+            self.stamps.append(np.where(live, step, -2).astype(np.int32))

@@ -1,0 +1,68 @@
+"""Ghost particles: copies of particles of other ranks, and periodic images, that contacts need."""
+import itertools
+
+import numpy as np
+
+
+class Ghosts:
+    """Which particles are sent where, and by how much their images are shifted.
+
+    Args:
+        comm: MPI communicator.
+        position: (owned, 3) [m].
+        reach (float): how far contacts reach [m].
+        period: lengths of the periodic box, zero where it is not periodic; absent: none.
+
+    Attributes:
+        number: of ghosts on this rank; they follow the owned particles.
+    """
+
+    def __init__(self, comm, position, reach, period=None):
+        self.comm, n = comm, len(position)
+        steps = [(-1, 0, 1) if period is not None and period[k] > 0 else (0,) for k in range(3)]
+        offsets = [np.array(o, float) * (0 if period is None else period) for o in itertools.product(*steps)]
+        box = (position.min(0) - reach, position.max(0) + reach) if n else (np.full(3, np.inf), np.full(3, -np.inf))
+        self.send, shifts = [], []
+        for rank, (lower, upper) in enumerate(comm.allgather(box)):
+            rows, moved = [np.zeros(0, np.int64)], [np.zeros((0, 3))]
+            for offset in offsets:
+                if rank == comm.rank and not offset.any():
+                    continue
+                x = position + offset
+                inside = np.flatnonzero(((x >= lower) & (x <= upper)).all(1))
+                rows.append(inside)
+                moved.append(np.tile(offset, (len(inside), 1)))
+            self.send.append(np.concatenate(rows))
+            shifts.append(np.concatenate(moved))
+        arrived = comm.alltoall(shifts)
+        self.shift = np.concatenate(arrived)
+        self.counts, self.number, self.owned = [len(a) for a in arrived], len(self.shift), n
+        ends = n + np.cumsum(self.counts)
+        self.receive = [slice(e - c, e) for e, c in zip(ends, self.counts)]
+
+    def grow(self, array):
+        """A copy of an owned array with the ghosts' values behind it."""
+        out = np.empty((self.owned + self.number, *array.shape[1:]), array.dtype)
+        out[:self.owned] = array
+        return self.forward(out)
+
+    def forward(self, array):
+        """Set the ghosts' entries to their owners' values, in place."""
+        requests, buffers, me = [], [], self.comm.rank
+        for rank in range(self.comm.size):
+            if rank != me and self.counts[rank]:
+                requests.append(self.comm.Irecv(array[self.receive[rank]], source=rank))
+            if rank != me and len(self.send[rank]):
+                buffers.append(np.ascontiguousarray(array[self.send[rank]]))
+                requests.append(self.comm.Isend(buffers[-1], dest=rank))
+        if self.counts[me]:
+            array[self.receive[me]] = array[self.send[me]]
+        for request in requests:
+            request.Wait()
+        return array
+
+    def forward_position(self, x):
+        """Set the ghosts' positions, shifted for periodic images, in place."""
+        self.forward(x)
+        x[self.owned:] += self.shift
+        return x

@@ -1,0 +1,191 @@
+"""Contact laws as loops over blocks of contacts that the compiler turns into vector instructions.
+
+A block holds ``BLOCK`` contacts as rows of one flat array: entry ``row * BLOCK + n`` belongs to contact n. Pairs, mesh facets
+and primitive walls fill the same rows, so there is one kernel per law. The rows on entry:
+
+    0-2   vector from the second to the first centre (a wall: from its nearest point)       3  its square
+    4     sum of the radii (a wall: the radius)              5-7   relative velocity of the centres
+    8-10  r1 w1 + r2 w2                                      11-13 tangential spring
+    14    inverse of the reduced mass                        15    stiffness k_n, or Young's modulus E*
+    16    damping number                                     17    friction
+    18    k_t / k_n, or G* / E*                              19    tangential over normal damping
+    20    reduced radius R*                                  21-23 w1 - w2
+    24-26 rolling spring                                     27    rolling friction          28 cohesion energy density
+
+Rows 29-31 pass stiffness and damping between the loops. On return 5-7 hold the force on the first body, 8-10 that force times the arm fraction, crossed with the normal (torque per
+radius), 11-13 and 24-26 the new springs, 21-23 the rolling torque on the first body.
+"""
+import math
+
+import numpy as np
+from numba import njit
+
+BLOCK = 256
+ROWS = 32
+FAST = {"contract", "reassoc", "nsz", "arcp"}  # no finite-math assumption: NaN must stay visible
+B = BLOCK
+
+
+def new_block():
+    """An empty block."""
+    return np.ones(ROWS * BLOCK)
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def geometry(b, m):
+    """Rows 0-2 become the normal, 3 the distance, 4 the overlap, 5-7 the velocity at the contact, 8 the arm fraction, 9 v_n."""
+    for n in range(m):
+        inverse = 1.0 / math.sqrt(b[n + 3 * B])
+        r = b[n + 3 * B] * inverse
+        nx, ny, nz = b[n] * inverse, b[n + B] * inverse, b[n + 2 * B] * inverse
+        q = r / b[n + 4 * B]
+        wx, wy, wz = q * b[n + 8 * B], q * b[n + 9 * B], q * b[n + 10 * B]
+        ux = b[n + 5 * B] - (wy * nz - wz * ny)
+        uy = b[n + 6 * B] - (wz * nx - wx * nz)
+        uz = b[n + 7 * B] - (wx * ny - wy * nx)
+        b[n] = nx
+        b[n + B] = ny
+        b[n + 2 * B] = nz
+        b[n + 3 * B] = r
+        b[n + 4 * B] = b[n + 4 * B] - r
+        b[n + 5 * B] = ux
+        b[n + 6 * B] = uy
+        b[n + 7 * B] = uz
+        b[n + 8 * B] = q
+        b[n + 9 * B] = ux * nx + uy * ny + uz * nz
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def linear(b, m, h):
+    """Linear spring-dashpot: F_n = k overlap - eta v_n; the pair's own force carries the lagging velocity half a step on.
+
+    Sets rows 10 (F_n), 29 (tangential stiffness), 30 (tangential damping) and 31 (normal stiffness).
+    """
+    for n in range(m):
+        k = b[n + 15 * B]
+        rate = math.sqrt(k * b[n + 14 * B])
+        eta = b[n + 16 * B] * k / rate
+        b[n + 10 * B] = (k * b[n + 4 * B] - eta * b[n + 9 * B]) / (1.0 + 0.5 * h * b[n + 16 * B] * rate)
+        b[n + 29 * B] = b[n + 18 * B] * k
+        b[n + 30 * B] = b[n + 19 * B] * eta
+        b[n + 31 * B] = k
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def hertz(b, m, h):
+    """Hertz-Mindlin: F_n = 4/3 E* sqrt(R* d) d, k_t = 8 G* sqrt(R* d), damping of constant restitution (Tsuji et al. 1992)."""
+    for n in range(m):
+        overlap, inverse_mass, damping = b[n + 4 * B], b[n + 14 * B], b[n + 16 * B]
+        k = 2.0 * b[n + 15 * B] * math.sqrt(b[n + 20 * B] * overlap)
+        rate, kt = math.sqrt(k * inverse_mass), 4.0 * b[n + 18 * B] * k
+        eta = damping * math.sqrt(k / inverse_mass)
+        b[n + 10 * B] = (2.0 / 3.0 * k * overlap - eta * b[n + 9 * B]) / (1.0 + 0.5 * h * damping * rate)
+        b[n + 29 * B] = kt
+        b[n + 30 * B] = b[n + 19 * B] * damping * math.sqrt(kt / inverse_mass)
+        b[n + 31 * B] = k
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def tangential(b, m, h):
+    """Tangential spring with Coulomb's cap; the spring keeps what really slipped, so sliding never stores energy."""
+    for n in range(m):
+        nx, ny, nz, un, fn = b[n], b[n + B], b[n + 2 * B], b[n + 9 * B], b[n + 10 * B]
+        q, kt, et = b[n + 8 * B], b[n + 29 * B], b[n + 30 * B]
+        tx, ty, tz = b[n + 5 * B] - un * nx, b[n + 6 * B] - un * ny, b[n + 7 * B] - un * nz
+        sx, sy, sz = b[n + 11 * B], b[n + 12 * B], b[n + 13 * B]
+        sn = sx * nx + sy * ny + sz * nz
+        sx, sy, sz = sx - sn * nx + h * tx, sy - sn * ny + h * ty, sz - sn * nz + h * tz
+        fx, fy, fz = -kt * sx - et * tx, -kt * sy - et * ty, -kt * sz - et * tz
+        cap = b[n + 17 * B] * b[n + 17 * B] * fn * fn
+        size = fx * fx + fy * fy + fz * fz + 1e-300
+        stretch = (sx * sx + sy * sy + sz * sz) * kt * kt + 1e-300
+        qf = math.sqrt(min(1.0, cap / size))
+        qs = math.sqrt(min(1.0, cap / stretch))
+        qs = qs if size > cap else 1.0
+        fx, fy, fz = qf * fx, qf * fy, qf * fz
+        b[n + 11 * B] = qs * sx
+        b[n + 12 * B] = qs * sy
+        b[n + 13 * B] = qs * sz
+        b[n + 5 * B] = fn * nx + fx
+        b[n + 6 * B] = fn * ny + fy
+        b[n + 7 * B] = fn * nz + fz
+        b[n + 8 * B] = q * (fy * nz - fz * ny)
+        b[n + 9 * B] = q * (fz * nx - fx * nz)
+        b[n + 10 * B] = q * (fx * ny - fy * nx)
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def cohesion(b, m):
+    """Attraction by the contact area, F = -c pi overlap (2 R*) (simplified JKR); c in J/m^3. Adds to the normal force."""
+    for n in range(m):
+        pull = b[n + 28 * B] * 2.0 * math.pi * b[n + 20 * B] * b[n + 4 * B]
+        b[n + 5 * B] -= pull * b[n]
+        b[n + 6 * B] -= pull * b[n + B]
+        b[n + 7 * B] -= pull * b[n + 2 * B]
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def rolling(b, m, h, elastic):
+    """Rolling friction of at most mu_r R* F_n against the relative rotation w1 - w2 (without its part about the normal).
+
+    Constant torque (Zhou et al. 1999), smooth below the rotation that it would stop within one step; or elastic-plastic
+    (Ai et al. 2011, model C) with the stiffness 2.25 k_n (mu_r R*)^2 and 0.3 of critical damping.
+    """
+    for n in range(m):
+        nx, ny, nz = b[n], b[n + B], b[n + 2 * B]
+        wx, wy, wz = b[n + 21 * B], b[n + 22 * B], b[n + 23 * B]
+        wn = wx * nx + wy * ny + wz * nz
+        wx, wy, wz = wx - wn * nx, wy - wn * ny, wz - wn * nz
+        radius = b[n + 20 * B]
+        cap = b[n + 27 * B] * radius * abs(b[n + 5 * B] * nx + b[n + 6 * B] * ny + b[n + 7 * B] * nz)
+        inertia = 0.4 * radius * radius / b[n + 14 * B]
+        stiffness = 2.25 * b[n + 31 * B] * (b[n + 27 * B] * radius) ** 2 if elastic else inertia / (h * h + 1e-300)
+        damping = 0.6 * math.sqrt(inertia * stiffness) if elastic else 0.0
+        keep = 1.0 if elastic else 0.0
+        sx, sy, sz = keep * b[n + 24 * B] + h * wx, keep * b[n + 25 * B] + h * wy, keep * b[n + 26 * B] + h * wz
+        sn = sx * nx + sy * ny + sz * nz
+        sx, sy, sz = sx - sn * nx, sy - sn * ny, sz - sn * nz
+        q = min(1.0, cap / (stiffness * math.sqrt(sx * sx + sy * sy + sz * sz) + 1e-300))
+        sx, sy, sz = q * sx, q * sy, q * sz
+        tx, ty, tz = stiffness * sx + damping * wx, stiffness * sy + damping * wy, stiffness * sz + damping * wz
+        q = min(1.0, cap / (math.sqrt(tx * tx + ty * ty + tz * tz) + 1e-300))
+        b[n + 24 * B] = sx
+        b[n + 25 * B] = sy
+        b[n + 26 * B] = sz
+        b[n + 21 * B] = -q * tx
+        b[n + 22 * B] = -q * ty
+        b[n + 23 * B] = -q * tz
+
+
+@njit(cache=True)
+def apply_law(b, m, h, numbers):
+    """The built-in law of a block, with cohesion and rolling friction where they are present."""
+    geometry(b, m)
+    if numbers.kind == 0:
+        linear(b, m, h)
+    else:
+        hertz(b, m, h)
+    tangential(b, m, h)
+    if numbers.cohesive:
+        cohesion(b, m)
+    if numbers.rolls > 0:
+        rolling(b, m, h, numbers.rolls == 2)
+
+
+@njit(cache=True)
+def constant_rows(b, numbers):
+    """Fill the rows of the material once where there is one material only; returns whether that is so."""
+    if numbers.table.shape[0] > 1 or numbers.table.shape[1] > 1:
+        return False
+    for n in range(B):
+        material_row(b, n, numbers, 0, 0)
+    return True
+
+
+@njit(cache=True, inline="always")
+def material_row(b, n, numbers, first, second):
+    """Rows 15-19, 27 and 28 of one contact from the material table."""
+    for k in range(5):
+        b[n + (15 + k) * B] = numbers.table[first, second, k]
+    b[n + 27 * B] = numbers.table[first, second, 5]
+    b[n + 28 * B] = numbers.table[first, second, 6]

@@ -1,0 +1,155 @@
+"""Walls: tagged boundary facets of the mesh, and planes and cylinders that may move."""
+import numpy as np
+from numba import njit
+
+from fe_el.particles.insertion import require_positive
+from fe_el.particles.law_kernels import BLOCK, FAST, constant_rows
+from fe_el.particles.walls import finish_block, gather_wall
+
+PLANE, CYLINDER, FACETS = 0, 1, 2
+
+
+def _vector(name, value):
+    v = np.zeros(3)
+    value = np.asarray(value, float).ravel()
+    if value.size not in (2, 3) or not np.isfinite(value).all():
+        raise ValueError(f"The {name} is {value.tolist()}; give two or three finite numbers.")
+    v[:value.size] = value
+    return v
+
+
+class _Wall:
+    """A wall with a material and a rigid motion: ``velocity`` [m/s] and ``angular_velocity`` [1/s] about ``point`` [m]."""
+
+    def __init__(self, point, material, velocity, angular_velocity):
+        if int(material) < 0:
+            raise ValueError(f"The wall's material is {material}; give the index of a material, 0 or more.")
+        self.material, self.point = int(material), _vector("point", point)
+        self.velocity, self.angular_velocity = _vector("velocity", velocity), _vector("angular velocity", angular_velocity)
+        self.force = np.zeros(3)  #: mean force of the particles on the wall over the last advance [N]
+
+    def motion(self):
+        """Origin, velocity and rotation in one row."""
+        return np.concatenate([self.point, self.velocity, self.angular_velocity])
+
+
+class FacetWalls(_Wall):
+    """Tagged boundary facets of the mesh.
+
+    The facets stay where they are; ``velocity`` and ``angular_velocity`` are those of their surface (a conveyor, a drum).
+
+    Args:
+        facet_tags: dolfinx MeshTags of facets.
+        groups: tags of the facets that are walls.
+        material (int): index into the law's material table.
+        velocity, angular_velocity, point: motion of the surface; angular about ``point``.
+    """
+
+    kind = FACETS
+
+    def __init__(self, facet_tags, groups, material=0, velocity=(0, 0, 0), angular_velocity=(0, 0, 0), point=(0, 0, 0)):
+        super().__init__(point, material, velocity, angular_velocity)
+        self.facet_tags, self.groups = facet_tags, groups
+
+
+class PlaneWall(_Wall):
+    """A plane through ``point`` whose ``normal`` points to the particles; it travels with ``velocity``.
+
+    Raises:
+        ValueError: for a normal of length zero.
+    """
+
+    kind = PLANE
+
+    def __init__(self, point, normal, material=0, velocity=(0, 0, 0), angular_velocity=(0, 0, 0)):
+        super().__init__(point, material, velocity, angular_velocity)
+        n = _vector("normal", normal)
+        if not np.linalg.norm(n) > 0:
+            raise ValueError("The normal of a plane wall is zero; give the direction from the wall to the particles.")
+        self.shape = np.concatenate([n / np.linalg.norm(n), [0.0]])
+
+
+class CylinderWall(_Wall):
+    """An infinite cylinder around ``axis`` through ``point``; particles are inside it, or outside of it if asked.
+
+    Raises:
+        ValueError: for an axis of length zero or a radius that is not positive.
+    """
+
+    kind = CYLINDER
+
+    def __init__(self, point, axis, radius, outside=False, material=0, velocity=(0, 0, 0), angular_velocity=(0, 0, 0)):
+        super().__init__(point, material, velocity, angular_velocity)
+        a = _vector("axis", axis)
+        require_positive("cylinder radius", radius)
+        if not np.linalg.norm(a) > 0:
+            raise ValueError("The axis of a cylinder wall is zero; give its direction.")
+        self.shape = np.concatenate([a / np.linalg.norm(a), [-radius if outside else radius]])
+
+
+@njit(cache=True, fastmath=FAST, inline="always")
+def _surface_point(kind, shape, origin, x, y, z):
+    """Nearest point of a plane or cylinder, and the distance (negative behind the wall)."""
+    dx, dy, dz = x - origin[0], y - origin[1], z - origin[2]
+    along = dx * shape[0] + dy * shape[1] + dz * shape[2]
+    if kind == PLANE:
+        return x - along * shape[0], y - along * shape[1], z - along * shape[2], along
+    ax, ay, az = origin[0] + along * shape[0], origin[1] + along * shape[1], origin[2] + along * shape[2]
+    rx, ry, rz = x - ax, y - ay, z - az
+    r, radius = np.sqrt(rx * rx + ry * ry + rz * rz) + 1e-300, abs(shape[3])
+    q = radius / r
+    return ax + q * rx, ay + q * ry, az + q * rz, radius - r if shape[3] > 0 else r - radius
+
+
+@njit(cache=True)
+def shape_list(x, radius, owned, skin, kind, shape, motion):
+    """Pairs (particle, wall) within the skin of planes and cylinders."""
+    particle, wall = [np.int32(0) for _ in range(0)], [np.int32(0) for _ in range(0)]
+    for i in range(owned):
+        for n in range(len(kind)):
+            if kind[n] < 2 and _surface_point(kind[n], shape[n], motion[n], x[i, 0], x[i, 1], x[i, 2])[3] < radius[i] + skin:
+                particle.append(np.int32(i))
+                wall.append(np.int32(n))
+    return np.array(particle, dtype=np.int32), np.array(wall, dtype=np.int32)
+
+
+@njit(cache=True, fastmath=FAST)
+def shape_forces(x, v, w, force, torque, radius, inverse_mass, material, particle, wall, spring, stamp, step, kind, shape,
+                 motion, wall_material, wall_force, b, numbers, h):
+    """Add the contact forces of planes and cylinders; returns the number of contacts, or -1 - i where i is behind one."""
+    touching, m, bad = 0, 0, 0
+    who, at, wall_of = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
+    uniform = constant_rows(b, numbers)
+    for k in range(len(particle)):
+        i, n = particle[k], wall[k]
+        px, py, pz, distance = _surface_point(kind[n], shape[n], motion[n], x[i, 0], x[i, 1], x[i, 2])
+        if distance < radius[i]:
+            if not distance > 0:
+                bad = -1 - i
+            who[m], at[m], wall_of[m] = i, k, n
+            gather_wall(b, m, i, px, py, pz, motion[n], x, v, w, radius, inverse_mass, spring, k,
+                        1.0 if stamp[k] == step - 1 else 0.0, numbers)
+            stamp[k] = step
+            m += 1
+        if m == BLOCK:
+            finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, torque, radius, spring,
+                         wall_force)
+            touching, m = touching + m, 0
+    finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, torque, radius, spring,
+                 wall_force)
+    return bad if bad < 0 else touching + m
+
+
+@njit(cache=True)
+def move_walls(kind, shape, motion, h):
+    """Carry planes and cylinders along with their velocity, and turn their normal or axis with their rotation."""
+    for n in range(len(kind)):
+        if kind[n] < 2:
+            for k in range(3):
+                motion[n, k] += h * motion[n, 3 + k]
+            ax, ay, az = shape[n, 0], shape[n, 1], shape[n, 2]
+            ax += h * (motion[n, 7] * shape[n, 2] - motion[n, 8] * shape[n, 1])
+            ay += h * (motion[n, 8] * shape[n, 0] - motion[n, 6] * shape[n, 2])
+            az += h * (motion[n, 6] * shape[n, 1] - motion[n, 7] * shape[n, 0])
+            length = np.sqrt(ax * ax + ay * ay + az * az)
+            shape[n, 0], shape[n, 1], shape[n, 2] = ax / length, ay / length, az / length
