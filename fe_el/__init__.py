@@ -3,9 +3,10 @@
 Fluid: VolumeAveragedNavierStokes
 Particles: Particles, LostParticle, Contacts; laws LinearSpringDashpot, HertzMindlin, RollingFriction, ArrayLaw;
     walls FacetWalls, PlaneWall, CylinderWall
-Coupling: Coupling, Drag, PressureGradient, drag_laws
-Meshes: read_mesh, mesh_geo, box
-Running: time_steps, ParaViewOutput, write_summary
+Coupling: Coupling; forces Drag, PressureGradient, ViscousStress, Buoyancy; drag_laws; HelmholtzSmoothing, PatchAverage;
+    SatellitePoints, ParticleCentred, HatKernel; time_scales
+Meshes: read_mesh, mesh_geo, box, periodic_box
+Running: time_steps, ParaViewOutput, stage_seconds, write_summary
 
 Every public call is collective unless it says otherwise; all numbers are in SI units.
 Names are loaded when first used, so a scene without fluid never imports the fluid.
@@ -19,15 +20,20 @@ _HOME = {
     "RollingFriction": "particles.contact_laws", "ArrayLaw": "particles.array_law", "FacetWalls": "particles.wall_shapes",
     "PlaneWall": "particles.wall_shapes", "CylinderWall": "particles.wall_shapes",
     "Coupling": "coupling.coupling", "Drag": "coupling.forces",
-    "PressureGradient": "coupling.forces", "read_mesh": "mesh", "mesh_geo": "mesh", "box": "box_mesh",
+    "PressureGradient": "coupling.forces", "ViscousStress": "coupling.forces", "Buoyancy": "coupling.forces",
+    "HelmholtzSmoothing": "coupling.smoothing", "PatchAverage": "coupling.smoothing", "SatellitePoints": "coupling.mapping",
+    "ParticleCentred": "coupling.mapping", "HatKernel": "coupling.mapping",
+    "read_mesh": "mesh", "mesh_geo": "mesh", "box": "box_mesh", "periodic_box": "periodic_mesh",
     "time_steps": "output", "ParaViewOutput": "output", "write_summary": "output",
+    "stage_seconds": "output",
 }
-__all__ = [*_HOME, "drag_laws"]
+_MODULES = ("drag_laws", "time_scales")
+__all__ = [*_HOME, *_MODULES]
 
 
 def __getattr__(name):
-    if name == "drag_laws":
-        return importlib.import_module("fe_el.coupling.drag_laws")
+    if name in _MODULES:
+        return importlib.import_module("fe_el.coupling." + name)
     if name not in _HOME:
         raise AttributeError(f"fe_el has no {name!r}; it has {', '.join(sorted(__all__))}.")
     return getattr(importlib.import_module("fe_el." + _HOME[name]), name)

@@ -6,6 +6,13 @@ from mpi4py import MPI
 SIDES = {"x-": 1, "x+": 2, "y-": 3, "y+": 4, "z-": 5, "z+": 6}
 
 
+def check_box(lengths, cells):
+    """Raise ``ValueError`` unless there are 2 or 3 positive lengths and as many positive numbers of cells."""
+    d = len(lengths)
+    if d not in (2, 3) or len(cells) != d or not np.all(np.array(lengths, float) > 0) or min(cells) < 1:
+        raise ValueError(f"The box has lengths {list(lengths)} and cells {list(cells)}; give 2 or 3 positive numbers each.")
+
+
 def box(lengths, cells, comm=MPI.COMM_WORLD):
     """A rectangle (crossed triangles) or box (tetrahedra) from the origin.
 
@@ -22,9 +29,8 @@ def box(lengths, cells, comm=MPI.COMM_WORLD):
     Note:
         Collective.
     """
+    check_box(lengths, cells)
     d = len(lengths)
-    if d not in (2, 3) or len(cells) != d or min(lengths) <= 0 or min(cells) < 1:
-        raise ValueError(f"The box has lengths {list(lengths)} and cells {list(cells)}; give 2 or 3 positive numbers each.")
     corners = [np.zeros(d), np.asarray(lengths, float)]
     if d == 2:
         mesh = dmesh.create_rectangle(comm, corners, cells, dmesh.CellType.triangle,

@@ -2,6 +2,7 @@
 import importlib.metadata
 import json
 import sys
+import time as time_now
 from pathlib import Path
 
 import meshio
@@ -28,6 +29,16 @@ def time_steps(dt, end_time, start=0.0, comm=MPI.COMM_WORLD, progress=True):
             bar.update()
 
 
+def stage_seconds(*parts):
+    """Wall time of every active stage: ``seconds_per_stage`` and a flat ``seconds_<stage>`` each.
+
+    Args:
+        parts: objects with a dictionary ``seconds``; ``None`` stands for physics that the scene leaves out.
+    """
+    stages = {name: round(t, 6) for part in parts if part is not None for name, t in part.seconds.items()}
+    return {"seconds_per_stage": stages, **{"seconds_" + name: t for name, t in stages.items()}}
+
+
 class ParaViewOutput:
     """Writes particles and cell fields as .vtu pieces, one per rank, with .pvd collections for ParaView.
 
@@ -44,6 +55,7 @@ class ParaViewOutput:
     def __init__(self, folder, particles=None, fields=(), every=None):
         self.folder, self.particles, self.fields, self.every = Path(folder), particles, list(fields), every
         self.comm = particles.comm if particles is not None else fields[0].function_space.mesh.comm
+        self.seconds = {"output": 0.0}
         self.next_time, self.written = -np.inf, {"particles": [], "fluid": []}
         self.folder.mkdir(parents=True, exist_ok=True)
         if self.fields:
@@ -55,17 +67,19 @@ class ParaViewOutput:
         """Write the state at ``time`` [s], unless the last output is more recent than ``every``."""
         if time < self.next_time - 1e-12:
             return
+        tick = time_now.perf_counter()
         if self.every:
             self.next_time = (time if self.next_time == -np.inf else self.next_time) + self.every
         if self.particles is not None:
             self._piece("particles", time, self._particle_piece())
         if self.fields:
             self._piece("fluid", time, self._fluid_piece())
+        self.seconds["output"] += time_now.perf_counter() - tick
 
     def _particle_piece(self):
         p = self.particles
         data = {"velocity": p.velocity, "angular_velocity": p.angular_velocity, "diameter": p.diameter, "id": p.id,
-                **p.properties}
+                **{name: a for name, a in p.properties.items() if not name.startswith("_")}}
         return meshio.Mesh(p.position, [("vertex", np.arange(len(p)).reshape(-1, 1))], point_data=data)
 
     def _fluid_piece(self):

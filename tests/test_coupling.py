@@ -3,11 +3,11 @@ import numpy as np
 import pytest
 
 import fe_el
-from fe_el.coupling import satellite_points
+from fe_el.coupling import mapping
 
 
 def test_satellite_points_are_isotropic():
-    x = satellite_points.isotropic_points()
+    x = mapping.isotropic_points()
     assert len(x) == 29 and np.allclose(x.sum(0), 0, atol=1e-15)
     moments = x.T @ x / 29
     assert np.allclose(moments, 0.196 * np.eye(3), atol=1e-3)
@@ -19,7 +19,8 @@ def test_shares_sum_to_one_at_walls_and_edges():
     mesh, _ = fe_el.box((0.02, 0.02, 0.02), (4, 4, 4))
     p = fe_el.Particles(mesh, density=1000.0)
     p.insert_in_box((0, 0, 0), (0.02, 0.02, 0.02), 400, diameter=np.linspace(1e-4, 3e-3, 400), seed=2)
-    s = satellite_points.shares(p.cells, p.cell, p.position, p.diameter / 2, satellite_points.isotropic_points())
+    s = mapping.SatellitePoints()
+    s.prepare(p.cells, p.cell, p.position, p.diameter / 2)
     assert np.allclose(np.add.reduceat(s.weight, s.start[:-1]), 1.0, atol=1e-14)
     air = fe_el.VolumeAveragedNavierStokes(mesh)
     c = fe_el.Coupling(p, air.velocity, air.pressure, 1.2, 1.8e-5, [fe_el.Drag("beetstra")], largest_solid_fraction=0.6)

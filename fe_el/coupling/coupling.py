@@ -1,72 +1,85 @@
-"""Conservative two-way coupling: particles to three cell fields, and the impulse the fluid really gave back to them."""
+"""Two-way coupling: particles to three cell fields, and the impulse the fluid really gave back to them."""
 import time
 
 import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from fe_el.coupling import satellite_points as mapping
-from fe_el.coupling.fields import CellMean, PressureGradientMean
-from fe_el.coupling.forces import Drag, PressureGradient, momentum_rates
+from fe_el.coupling import mapping as _mapping
+from fe_el.coupling.fields import CellMean, PressureGradientMean, ViscousStressMean
+from fe_el.coupling.forces import FORCES, Buoyancy, Drag, PressureGradient, ViscousStress
 from fe_el.coupling.over_filled import Spill
-from fe_el.particles.location import locate
+from fe_el.coupling.schemes import Exchange, scheme_of
+from fe_el.coupling.smoothing import FixedValues
 
 
 class Coupling:
     """Momentum exchange of particles with any fluid that takes a void fraction, a drag coefficient and a source.
 
-    Over one step of length dt, with beta'_i = rho_p (1 - exp(-dt beta_i / rho_p)) / dt and v*_i the velocity particle i
-    would have without drag,
-
-        A_j = sum_i w_ij V_i beta'_i / V_j,   B_j = sum_i w_ij V_i beta'_i v*_i / V_j,
-
-    and after the fluid step particle i receives exactly V_i beta'_i (sum_j w_ij u_j - v*_i) - V_i sum_j w_ij grad p_j per
-    time. What particles gain the fluid loses, to round-off, for any dt.
+    Particles give their volume, drag and momentum to cells through the shares of a mapping, the excess of over-filled cells
+    goes to their neighbours, and a self-adjoint smoothing spreads the result; what cells give back to particles passes the
+    transpose of the same map. So with the ``conservative`` scheme what particles gain the fluid loses, to round-off.
 
     Args:
         particles (Particles): the particles.
         velocity: the fluid's interstitial velocity, a vector Function [m/s].
         pressure: its pressure, a Function [Pa].
         fluid_density, fluid_viscosity (float): [kg/m^3], [Pa s].
-        forces: list of :class:`Drag` and :class:`PressureGradient`.
-        points: satellite points (points, 3) in radii; absent: 29 isotropic ones.
+        forces: list of :class:`Drag`, :class:`PressureGradient`, :class:`ViscousStress`, :class:`Buoyancy`.
+        scheme (str): ``conservative``, ``explicit``, ``implicit``, ``split`` or ``void_cells_explicit``.
+        mapping: ``satellite_points``, ``cfdem_points``, ``particle_centred``, ``hat``, or an object (see
+            :mod:`fe_el.coupling.mapping`).
+        smoothing: :class:`HelmholtzSmoothing`, :class:`PatchAverage` or another self-adjoint map of cell fields; absent: none.
+        fluid_velocity (str): velocity at the particle: ``cell`` means, or ``linear`` interpolation between vertices; the
+            difference of the two lags by a step, and momentum stays exact.
         largest_solid_fraction (float): cells that hold more hand the excess to their neighbours, conservatively.
 
     Attributes:
         fields: (void fraction DG0, drag coefficient A DG0 [kg/(m^3 s)], momentum source B DG0 vector [N/m^3]).
         over_filled (int): cells that were over-filled in the last step, over all ranks.
+        solid_volume_error, momentum_imbalance (float): ledger of the last step, relative to the solid volume and to the
+            particles' weight (without gravity: to the force).
+        max_solid_fraction (float): in the last step.
 
     Raises:
-        ValueError: for an unknown force or a number out of range.
+        ValueError: for an unknown force, scheme or mapping, or a number out of range.
 
     Note:
         Collective.
     """
 
-    def __init__(self, particles, velocity, pressure, fluid_density, fluid_viscosity, forces, points=None,
-                 largest_solid_fraction=0.74):
+    def __init__(self, particles, velocity, pressure, fluid_density, fluid_viscosity, forces, scheme="conservative",
+                 mapping="satellite_points", smoothing=None, fluid_velocity="cell", largest_solid_fraction=0.74):
         for name, value in (("fluid density", fluid_density), ("fluid viscosity", fluid_viscosity)):
             if not (value > 0 and np.isfinite(value)):
                 raise ValueError(f"The {name} is {value}; it must be finite and greater than zero.")
         if not 0 < largest_solid_fraction < 1:
             raise ValueError(f"largest_solid_fraction is {largest_solid_fraction}; it must be between 0 and 1.")
-        unknown = [f for f in forces if not isinstance(f, (Drag, PressureGradient))]
+        if fluid_velocity not in ("cell", "linear"):
+            raise ValueError(f"fluid_velocity is {fluid_velocity!r}; use 'cell' or 'linear'.")
+        unknown = [f for f in forces if not isinstance(f, FORCES)]
         if unknown:
-            raise ValueError(f"{unknown[0]!r} is no force; forces are Drag(law) and PressureGradient().")
+            raise ValueError(f"{unknown[0]!r} is no force; forces are Drag(law), PressureGradient(), ViscousStress() and "
+                             "Buoyancy().")
         self.particles, self.comm, mesh = particles, particles.comm, particles.mesh
         self.density, self.viscosity, self.largest = fluid_density, fluid_viscosity, largest_solid_fraction
         self.dimension = d = mesh.topology.dim
-        self.drag = next((f for f in forces if isinstance(f, Drag)), None)
-        self.pressure_force = any(isinstance(f, PressureGradient) for f in forces)
-        self.points = mapping.isotropic_points() if points is None else np.ascontiguousarray(points, float)
+        self.drag, self.pressure_force, viscous, self.buoyancy = (
+            next((f for f in forces if isinstance(f, kind)), None) for kind in FORCES)
+        self.mapping, self.smoothing, self.scheme = _mapping.mapping_of(mapping), smoothing, scheme_of(scheme)
+        self.linear = _mapping.LinearInterpolation() if fluid_velocity == "linear" else None
         scalar, vector = fem.FunctionSpace(mesh, ("DG", 0)), fem.VectorFunctionSpace(mesh, ("DG", 0))
         self.fields = (fem.Function(scalar, name="void_fraction"), fem.Function(scalar, name="drag_coefficient"),
                        fem.Function(vector, name="momentum_source"))
         self.fields[0].x.array[:] = 1.0
         self.velocity_mean = CellMean(mesh, velocity, d)
-        self.gradient_mean = PressureGradientMean(mesh, pressure, particles.cells.barycentric) if self.pressure_force \
-            else None
+        self.gradient_mean = PressureGradientMean(mesh, pressure, particles.cells.barycentric) if self.pressure_force else None
+        self.stress_mean = ViscousStressMean(mesh, fluid_viscosity) if viscous else None
+        length = getattr(smoothing, "length", None)
+        self.fixed = FixedValues(mesh, length) if length and scheme == "implicit" else None
         self.seconds = {"mapping": 0.0, "drag": 0.0}
+        if smoothing is not None:
+            self.seconds["smoothing"] = 0.0
         self.over_filled, self.over_filled_total, self.solid_volume_error = 0, 0, 0.0
         self.momentum_imbalance, self.max_solid_fraction = 0.0, 0.0
 
@@ -78,44 +91,85 @@ class Coupling:
         Note:
             Collective.
         """
-        tick = time.perf_counter()
+        tick = self._begin()
         p = self.particles
-        missing = locate(p.cells, p.cell, p.position)
-        if p.comm.allreduce(missing):
-            p._search_everywhere()
-        self.shares = mapping.shares(p.cells, p.cell, p.position, 0.5 * p.diameter, self.points)
-        content = self._deposit(p.volume[:, None])
+        self.position_cell, position = p.located()
+        self.mapping.prepare(p.cells, self.position_cell, position, 0.5 * p.diameter)
+        if self.linear is not None:
+            self.linear.prepare(p.cells, self.position_cell, position, 0.5 * p.diameter)
+        content = self._volumes(self._smooth(self._deposit(p.volume[:, None])[:p.cells.owned] / self._owned_volume()))
         self.spill = Spill(p.cells, p.halo, content[:, 0], self.largest)
         self.over_filled = self.comm.allreduce(self.spill.over_filled)
         self.over_filled_total += self.over_filled
         self.solid = self.spill(content)[:, :1] / p.cells.volume[:, None]
         self._solid_ledger()
         self._set(0, 1 - self.solid)
-        self.seconds["mapping"] += time.perf_counter() - tick
-        tick = time.perf_counter()
+        self._end("mapping", tick)
+        tick = self._begin()
+        self.explicit_reaction = np.zeros((len(p), self.dimension))
+        if self.stress_mean is not None:
+            stress = self._gather(self._back(self.stress_mean(self.velocity_mean())))
+            self.explicit_reaction = p.volume[:, None] * stress
         if self.drag is not None:
             self._drag_fields(dt)
-        self.seconds["drag"] += time.perf_counter() - tick
+        elif self.stress_mean is not None:
+            self._set(2, -self._to_cells(self.explicit_reaction))
+        self._end("drag", tick)
 
     def _drag_fields(self, dt):
         """A and B from the drag of each particle over the coming step."""
         p, d = self.particles, self.dimension
-        u = self._gather(self._on_cells(self.velocity_mean()))
-        s = self._gather(self.solid)[:, 0]
-        predicted = p.gravity + p.mean_contact_force / p.mass[:, None]
-        slip = np.linalg.norm(u - p.velocity[:, :d], axis=1)
-        beta = self.drag.coefficient(s, slip, p.diameter, self.density, self.viscosity)
+        cell_velocity = self.velocity_mean()
+        smooth = self._back(cell_velocity)
+        mean = self._gather(smooth)
+        offset = np.zeros_like(mean)
+        if self.linear is not None:
+            linear = np.empty_like(mean)
+            self.linear.gather(smooth, linear)
+            offset = linear - mean
+        slip = np.linalg.norm(mean + offset - p.velocity[:, :d], axis=1)
+        beta = self._coefficient(self._gather(self.solid)[:, 0], slip)
+        column, n = beta[:, None], p.cells.owned
+        exchange = Exchange(dt, p.volume[:, None], p.density[:, None], p.velocity[:, :d], self._acceleration(), column,
+                            mean + offset, offset, self._to_cells, lambda q: self._deposit(q)[:n], cell_velocity,
+                            self.fixed or (lambda field, filled: field))
+        a, b = self.scheme.fields(exchange)
+        if self.stress_mean is not None:
+            b = b - self._to_cells(self.explicit_reaction)
+        self._set(1, a)
+        self._set(2, b)
+
+    def _coefficient(self, solid, slip):
+        """Drag coefficient of each particle, checked."""
+        p, sauter = self.particles, None
+        if self.drag.polydisperse:
+            sums = self._gather(self._on_cells(self._to_cells(np.column_stack([p.volume, p.volume / p.primary_diameter]))))
+            sauter = sums[:, 0] / sums[:, 1]
+        beta = self.drag.coefficient(solid, slip, p.primary_diameter, self.density, self.viscosity, sauter)
         if len(beta) and not (np.isfinite(beta).all() and beta.min() >= 0):
             i = int(np.flatnonzero(~(np.isfinite(beta) & (beta >= 0)))[0])
-            raise FloatingPointError(f"The drag law gave {beta[i]:g} for particle {p.id[i]} at solid fraction {s[i]:g} and "
+            raise FloatingPointError(f"The drag law gave {beta[i]:g} for particle {p.id[i]} at solid fraction {solid[i]:g} and "
                                      f"slip {slip[i]:g} m/s (step {p.step}, rank {self.comm.rank}); it must be finite "
                                      "and not negative. Check the law's range or use larger cells.")
-        self.rate = (p.volume * momentum_rates(beta, p.density, dt))[:, None]
-        self.free_velocity = (p.velocity + dt * predicted)[:, :d]
-        out = self.spill(self._deposit(np.hstack([self.rate, self.rate * self.free_velocity]))) \
-            / p.cells.volume[:, None]
-        self._set(1, out[:, :1])
-        self._set(2, out[:, 1:])
+        return beta
+
+    def _acceleration(self):
+        """(particles, d) by gravity, the last mean contact force, and the other forces of the fluid as of the last step."""
+        p, d = self.particles, self.dimension
+        other = self._steady_force() + self.explicit_reaction
+        if "_pressure_gradient" in p.properties:
+            other = other - p.volume[:, None] * p.properties["_pressure_gradient"]
+        return p.gravity[:d] + (p.mean_contact_force[:, :d] + other) / p.mass[:, None]
+
+    def _steady_force(self):
+        """(particles, d) forces that need no field: mean pressure gradient and buoyancy."""
+        p, d = self.particles, self.dimension
+        force = np.zeros((len(p), d))
+        if self.pressure_force is not None:
+            force += p.volume[:, None] * self.pressure_force.mean[:d]
+        if self.buoyancy is not None:
+            force -= self.density * p.volume[:, None] * p.gravity[:d]
+        return force
 
     # -- fluid to particles --------------------------------------------------------------------------------------------
 
@@ -125,35 +179,72 @@ class Coupling:
         Note:
             Collective.
         """
-        tick = time.perf_counter()
+        tick = self._begin()
         p, d = self.particles, self.dimension
-        force = np.zeros((len(p), 3))
-        volume = p.cells.volume[:p.cells.owned, None]
-        received = np.zeros(d)
+        force, volume = self.explicit_reaction.copy(), self._owned_volume()
+        a, b = self.fields[1].x.array[:len(volume), None], self.fields[2].x.array.reshape(-1, d)[:len(volume)]
+        u = self.velocity_mean()
+        received = (volume * (b - a * u)).sum(0)
         if self.drag is not None:
-            u = self.velocity_mean()
-            force[:, :d] += self.rate * (self._gather(self._on_cells(u)) - self.free_velocity)
-            a, b = self.fields[1].x.array[:len(volume), None], self.fields[2].x.array.reshape(-1, d)[:len(volume)]
-            received += (volume * (b - a * u)).sum(0)
-        if self.pressure_force:
+            force += self.scheme.force(self._gather(self._back(u)))
+        if self.pressure_force is not None:
             slope = self.gradient_mean()
-            force[:, :d] -= p.volume[:, None] * self._gather(self._on_cells(slope))
+            at_particles = self._gather(self._back(slope))
+            force -= p.volume[:, None] * at_particles
             received += (volume * (1 - self.fields[0].x.array[:len(volume), None]) * slope).sum(0)
-        p.force = force
-        given, received = self.comm.allreduce(force[:, :d].sum(0)), self.comm.allreduce(received)
-        weight = self.comm.allreduce(p.mass.sum()) * max(np.linalg.norm(p.gravity), 1e-300)
-        scale = weight if np.linalg.norm(p.gravity) > 0 else max(np.linalg.norm(given), 1e-300)
-        self.momentum_imbalance = float(np.abs(given + received).max() / scale)
-        self.seconds["drag"] += time.perf_counter() - tick
+            p.properties["_pressure_gradient"] = at_particles
+        given, received = self.comm.allreduce(force.sum(0)), self.comm.allreduce(received)
+        p.force = np.zeros((len(p), 3))
+        p.force[:, :d] = force + self._steady_force()
+        weight = self.comm.allreduce(p.mass.sum()) * np.linalg.norm(p.gravity)
+        self.momentum_imbalance = float(np.abs(given + received).max() / (weight or max(np.linalg.norm(given), 1e-300)))
+        self._end("drag", tick)
 
     # -- maps ----------------------------------------------------------------------------------------------------------
+
+    def _begin(self):
+        return time.perf_counter(), self.seconds.get("smoothing", 0.0)
+
+    def _end(self, stage, tick):
+        """Book the time of a stage, less the smoothing inside it."""
+        self.seconds[stage] += time.perf_counter() - tick[0] - (self.seconds.get("smoothing", 0.0) - tick[1])
+
+    def _owned_volume(self):
+        cells = self.particles.cells
+        return cells.volume[:cells.owned, None]
+
+    def _smooth(self, field):
+        """Smoothing of owned cell values; the identity without."""
+        if self.smoothing is None:
+            return field
+        tick = time.perf_counter()
+        out = self.smoothing(np.ascontiguousarray(field))
+        self.seconds["smoothing"] += time.perf_counter() - tick
+        return out
 
     def _deposit(self, quantity):
         """Cell totals (cells, k) of particle quantities, complete on owned and halo cells."""
         p = self.particles
         out = np.zeros((len(p.cells.volume), quantity.shape[1]))
-        mapping.deposit(*self.shares, np.ascontiguousarray(quantity), out)
+        self.mapping.deposit(np.ascontiguousarray(quantity), out)
         return p.halo.forward(p.halo.reverse_add(out))
+
+    def _volumes(self, density):
+        """Cell totals on owned and halo cells from densities on owned ones."""
+        return self._on_cells(density) * self.particles.cells.volume[:, None]
+
+    def _to_cells(self, quantity):
+        """Cell densities (owned cells, k) of particle quantities: mapped, smoothed, spilled."""
+        n = self.particles.cells.owned
+        if self.smoothing is None:
+            return self.spill(self._deposit(quantity))[:n] / self._owned_volume()
+        return self.spill(self._volumes(self._smooth(self._deposit(quantity)[:n] / self._owned_volume())))[:n] \
+            / self._owned_volume()
+
+    def _back(self, field):
+        """Owned cell values made ready for particles: spilled back, then smoothed; the transpose of :meth:`_to_cells`."""
+        out = self.spill.transpose(self._on_cells(field))
+        return out if self.smoothing is None else self._on_cells(self._smooth(out[:len(field)]))
 
     def _on_cells(self, owned):
         """Owned cell values continued to the halo."""
@@ -163,9 +254,9 @@ class Coupling:
         return p.halo.forward(out)
 
     def _gather(self, field):
-        """Particle means of a cell field: the transpose of deposit and spill."""
+        """Particle means of a field on owned and halo cells."""
         out = np.empty((len(self.particles), field.shape[1]))
-        mapping.gather(*self.shares, self.spill.transpose(field), out)
+        self.mapping.gather(field, out)
         return out
 
     def _set(self, which, values):

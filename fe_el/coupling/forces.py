@@ -9,30 +9,60 @@ from fe_el.coupling import drag_laws
 class Drag:
     """Drag by a law ``law(solid_fraction, reynolds) -> F`` (see :mod:`fe_el.drag_laws`), or the name of a built-in one.
 
+    Args:
+        law: function or name.
+        polydisperse (bool): evaluate F at the local Sauter diameter d32 and multiply it by y + 0.064 y^3, y = d / d32
+            (Beetstra et al. 2007).
+
     Raises:
         ValueError: for an unknown name, or something that is not such a function.
     """
 
-    def __init__(self, law):
+    def __init__(self, law, polydisperse=False):
         if isinstance(law, str):
             if law not in drag_laws.LAWS:
                 raise ValueError(f"There is no drag law {law!r}; use one of {sorted(drag_laws.LAWS)} or pass a function.")
             law = drag_laws.LAWS[law]
         if not callable(law) or len(inspect.signature(law).parameters) < 2:
             raise ValueError(f"The drag law is {law!r}; pass a function law(solid_fraction, reynolds) that returns F.")
-        self.law = law
+        self.law, self.polydisperse = law, bool(polydisperse)
 
-    def coefficient(self, solid_fraction, slip, diameter, density, viscosity):
-        """beta = 18 mu phi F / d^2 per particle volume (particles,) [kg/(m^3 s)]."""
-        phi = 1 - solid_fraction
-        reynolds = density * phi * slip * diameter / viscosity
-        return 18 * viscosity * phi * self.law(solid_fraction, reynolds) / diameter ** 2
+    def coefficient(self, solid_fraction, slip, diameter, density, viscosity, sauter=None):
+        """beta = 18 mu phi F / d^2 per particle volume (particles,) [kg/(m^3 s)]; ``sauter`` is the local d32 [m]."""
+        phi, size = 1 - solid_fraction, diameter if sauter is None else sauter
+        reynolds = density * phi * slip * size / viscosity
+        drag = self.law(solid_fraction, reynolds)
+        if sauter is not None:
+            y = diameter / sauter
+            drag = drag * (y + 0.064 * y ** 3)
+        return 18 * viscosity * phi * drag / diameter ** 2
 
 
 class PressureGradient:
-    """The force -V grad p on each particle; the fluid carries the share phi grad p of the gradient (model A)."""
+    """The force -V grad p on each particle; the fluid carries the share phi grad p of the gradient (model A).
+
+    Args:
+        mean: a constant part of -grad p that acts beside the solved pressure (three numbers) [Pa/m]: in a periodic box the
+            one that carries the weight; give the fluid the same as ``mean_pressure_gradient``.
+    """
+
+    def __init__(self, mean=(0.0, 0.0, 0.0)):
+        self.mean = np.zeros(3)
+        mean = np.asarray(mean, float).ravel()
+        if mean.size not in (2, 3) or not np.isfinite(mean).all():
+            raise ValueError(f"The mean pressure gradient is {mean.tolist()}; give two or three finite numbers [Pa/m].")
+        self.mean[:mean.size] = mean
 
 
-def momentum_rates(beta, density, dt):
-    """beta' = rho_p (1 - exp(-dt beta / rho_p)) / dt (particles,): the drag that an exact relaxation over dt exchanges."""
-    return -density * np.expm1(-dt * beta / density) / dt
+class ViscousStress:
+    """The force V div tau on each particle; the fluid receives the opposite through its momentum source.
+
+    The fluid should then carry the whole div tau: ``VolumeAveragedNavierStokes(..., stress_of_mixture=True)``.
+    """
+
+
+class Buoyancy:
+    """The force -rho_f V g, for fluids whose pressure leaves the hydrostatic part out (no gravity in the fluid)."""
+
+
+FORCES = (Drag, PressureGradient, ViscousStress, Buoyancy)

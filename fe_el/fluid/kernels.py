@@ -34,7 +34,7 @@ def scatter(dofs, total, out):
 
 
 @njit(cache=True, fastmath=FAST)
-def transport_matrix(dofs, grad, volume, density, viscosity, dt, phi0, phi1, rate0, q, values):
+def transport_matrix(dofs, grad, volume, density, viscosity, dt, phi0, phi1, rate0, share_of_stress, q, values):
     """Element matrices of lumped mass, skew-symmetric convection by M = rho phi0 q, and viscosity."""
     n, m = dofs.shape
     d = q.shape[1]
@@ -53,7 +53,7 @@ def transport_matrix(dofs, grad, volume, density, viscosity, dt, phi0, phi1, rat
                 g = 0.0
                 for k in range(d):
                     g += grad[c, i, k] * grad[c, j, k]
-                values[c, i, j] = flux[j] - flux[i] + phi1[c] * viscosity * vol * g
+                values[c, i, j] = flux[j] - flux[i] + share_of_stress[c] * viscosity * vol * g
             values[c, i, i] += diagonal
 
 

@@ -1,4 +1,6 @@
 """The volume-averaged Navier-Stokes equations, model A, by a cell-node scheme on simplices."""
+import time
+
 import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
@@ -26,6 +28,9 @@ class VolumeAveragedNavierStokes:
         viscosity (float): dynamic viscosity mu [Pa s].
         gravity: acceleration [m/s^2]; absent: none.
         tolerance (float): relative residual of the linear solvers.
+        mean_pressure_gradient: constant part of -grad p beside the solved pressure [Pa/m], on the fluid's share phi of the
+            volume: what carries the weight in a periodic box (give particles the same by ``PressureGradient(mean=...)``).
+        stress_of_mixture (bool): the fluid carries div tau, not phi div tau; for particles with ``ViscousStress``.
 
     Attributes:
         velocity: DG0 vector Function, interstitial velocity u [m/s].
@@ -38,7 +43,8 @@ class VolumeAveragedNavierStokes:
         Collective.
     """
 
-    def __init__(self, mesh, facet_tags=None, density=1.2, viscosity=1.8e-5, gravity=None, tolerance=1e-8):
+    def __init__(self, mesh, facet_tags=None, density=1.2, viscosity=1.8e-5, gravity=None, tolerance=1e-8,
+                 mean_pressure_gradient=None, stress_of_mixture=False):
         check_simplices(mesh)
         if not (density > 0 and np.isfinite(density)):
             raise ValueError(f"The fluid density is {density}; it must be finite and greater than zero [kg/m^3].")
@@ -62,9 +68,10 @@ class VolumeAveragedNavierStokes:
         self.h = self.volume ** (1 / d) * (2 ** 0.5 if d == 2 else 6 ** (1 / 3))
         self.nodal_velocity, self.force = None, np.zeros((self.nodes, d))
         self.void_fraction, self.rate = None, np.zeros(n)
-        self.time, self.step = 0.0, 0
+        self.time, self.step, self.seconds = 0.0, 0, {"fluid": 0.0}
         self.inlets, self.outlets, self.no_slip, self.slip = [], [], [], []
-        self.body_force = np.zeros(d)
+        mean = np.zeros(d) if mean_pressure_gradient is None else np.asarray(mean_pressure_gradient, float)[:d]
+        self.mean_pressure_gradient, self.stress_of_mixture = mean.copy(), bool(stress_of_mixture)
         self._poisson = None
         self.node_position = np.zeros((self.nodes, 3))
         self.node_position[self.dofs] = self.corner
@@ -150,6 +157,7 @@ class VolumeAveragedNavierStokes:
         """
         if not (dt > 0 and np.isfinite(dt)):
             raise ValueError(f"The time step is {dt}; it must be finite and greater than zero [s].")
+        tick = time.perf_counter()
         if self._poisson is None:
             self._setup()
         n, d = self.num_cells, self.dimension
@@ -171,6 +179,7 @@ class VolumeAveragedNavierStokes:
         transported = self._fade(dt, phi0, phi, q, u)
         self._exchange(dt, phi, drag, source, nodal, transported)
         self.void_fraction, self.dt = phi, dt
+        self.seconds["fluid"] += time.perf_counter() - tick
 
     def _sum(self, shape):
         return np.zeros((self.nodes, *shape))
@@ -214,7 +223,7 @@ class VolumeAveragedNavierStokes:
         """Stage 2: convection and viscosity of the nodal velocity, implicit, skew-symmetric, conserving momentum."""
         d, values = self.dimension, self._transport.values
         kernels.transport_matrix(self.dofs, self.gradient, self.volume, self.density, self.viscosity, dt, phi0, phi, rate0,
-                                 q, values)
+                                 np.ones_like(phi) if self.stress_of_mixture else phi, q, values)
         for facets, _ in self.outlets:
             kernels.open_boundary(facets.cell, facets.local, facets.area_normal, self.density, phi0, q, values)
         rhs = self.mass0[:, None] * u / dt + self.force
@@ -258,7 +267,7 @@ class VolumeAveragedNavierStokes:
         n, d, own = self.num_cells, self.dimension, self.owned_nodes
         q, diagonal, rhs = np.empty((n, d)), np.empty(n), self._sum(())
         kernels.exchange_system(self.dofs, self.gradient, self.volume, self.density, dt, phi, self.rate, drag, source,
-                                self.gravity + self.body_force / self.density, nodal, self._correction, transported, q,
+                                self.gravity + self.mean_pressure_gradient / self.density, nodal, self._correction, transported, q,
                                 diagonal, self._poisson.values, rhs)
         self.inflow = self._sum(())
         for facets, value in self.inlets:

@@ -6,7 +6,7 @@ from fe_el.exchange import move
 from fe_el.particles import insertion, location
 
 FIELDS = {"position": (3,), "velocity": (3,), "angular_velocity": (3,), "diameter": (), "density": (), "force": (3,),
-          "contact_force": (3,), "contact_torque": (3,), "mean_contact_force": (3,)}
+          "contact_force": (3,), "contact_torque": (3,), "mean_contact_force": (3,), "coarse_graining": ()}
 
 INTEGERS = ("cell", "id", "material")
 
@@ -17,6 +17,9 @@ class LostParticle(RuntimeError):
 
 class Particles:
     """Spheres with position [m], velocity [m/s], angular velocity [1/s], diameter [m] and density [kg/m^3].
+
+    A parcel stands for ``coarse_graining``^3 particles of ``diameter / coarse_graining``: it collides with its own diameter,
+    has the mass and volume of all, and the drag of each of them.
 
     Every array has one row per particle of this rank; ``id`` is unique over all ranks and never changes. ``force`` [N]
     is added during :meth:`advance` (the coupling writes it). ``properties`` holds user arrays that travel along.
@@ -60,6 +63,11 @@ class Particles:
         return np.pi / 6 * self.diameter ** 3
 
     @property
+    def primary_diameter(self):
+        """(particles,) diameter of the particles that each parcel stands for [m]: ``diameter`` over ``coarse_graining``."""
+        return self.diameter / self.coarse_graining
+
+    @property
     def mass(self):
         """(particles,) mass [kg]."""
         return self.density * self.volume
@@ -80,9 +88,10 @@ class Particles:
 
     # -- insertion -------------------------------------------------------------------------------------------------
 
-    def insert_at(self, position, diameter, density=None, velocity=0.0, material=0):
+    def insert_at(self, position, diameter, density=None, velocity=0.0, material=0, coarse_graining=1.0):
         """Insert particles at positions (particles, 2 or 3) [m], given alike on every rank.
 
+        ``diameter`` is that of the sphere that collides; with ``coarse_graining`` above 1 it is a parcel's.
         ``material`` is the index (one, or one per particle) into the table of the contact law.
 
         Raises:
@@ -97,7 +106,8 @@ class Particles:
         mine = np.flatnonzero(cell >= 0)
         new = {name: np.zeros((len(mine), *shape)) for name, shape in FIELDS.items()}
         new["position"], new["velocity"], new["diameter"] = x[mine], velocity[mine], diameter[mine]
-        new["density"] = density[mine]
+        insertion.require_positive("coarse graining", coarse_graining)
+        new["density"], new["coarse_graining"] = density[mine], np.broadcast_to(coarse_graining, len(x))[mine]
         for name in FIELDS:
             setattr(self, name, np.concatenate([getattr(self, name), new[name]]))
         self.cell = np.concatenate([self.cell, cell[mine]])
@@ -111,8 +121,10 @@ class Particles:
         self.next_id += len(x)
         self.layout += 1
 
-    def insert_in_box(self, lower, upper, count, diameter, density=None, velocity=0.0, seed=0, without_overlap=False):
+    def insert_in_box(self, lower, upper, count, diameter, density=None, velocity=0.0, seed=0, without_overlap=False, **kind):
         """Insert ``count`` particles at random in a box; ``diameter`` is a number or one per particle [m].
+
+        ``kind``: ``material`` and ``coarse_graining`` as in :meth:`insert_at`.
 
         Raises:
             ValueError: if the box is not inside the mesh, or too small for particles without overlap.
@@ -121,9 +133,9 @@ class Particles:
             Collective.
         """
         x = insertion.random_positions(lower, upper, count, diameter, seed, without_overlap)
-        self.insert_at(x, diameter, density, velocity)
+        self.insert_at(x, diameter, density, velocity, **kind)
 
-    def insert_on_lattice(self, lower, upper, diameter, density=None, velocity=0.0, seed=0):
+    def insert_on_lattice(self, lower, upper, diameter, density=None, velocity=0.0, seed=0, **kind):
         """Fill a box from below with particles of the given diameters (particles,), shuffled, that do not touch.
 
         Raises:
@@ -133,7 +145,7 @@ class Particles:
             Collective.
         """
         diameter = np.random.default_rng(seed).permutation(np.asarray(diameter, float))
-        self.insert_at(insertion.lattice_positions(lower, upper, diameter, seed), diameter, density, velocity)
+        self.insert_at(insertion.lattice_positions(lower, upper, diameter, seed), diameter, density, velocity, **kind)
 
     # -- order and ranks -------------------------------------------------------------------------------------------
 
@@ -211,6 +223,21 @@ class Particles:
                            for name, a in zip(user, received[len(own):])}
         self.layout += 1
         return destination
+
+    def located(self):
+        """Cell and position (wrapped into a periodic box) of every particle now, without changing the particles.
+
+        Raises:
+            LostParticle: if a particle is in no cell of any rank.
+
+        Note:
+            Collective.
+        """
+        cell, position = self.cell.copy(), self.position.copy()
+        if self.comm.allreduce(location.locate(self.cells, cell, position)):
+            self.locate()
+            cell, position = self.cell.copy(), self.position.copy()
+        return cell, position
 
     # -- motion ----------------------------------------------------------------------------------------------------
 

@@ -1,0 +1,242 @@
+"""Mapping between particles and cells: which share w_ij of particle i belongs to cell j. The shares of a particle sum to one."""
+import numpy as np
+from numba import njit
+
+from fe_el.particles.location import INSIDE, walk
+
+INNER, OUTER = 0.6276065, 0.9085281  # centroids of two shells that share the sphere's volume, in radii
+
+
+def isotropic_points():
+    """Centre, 6 axes and 8 cube corners at two radii: (29, 3), in radii. Second moments are nearly isotropic."""
+    axes = np.vstack([np.eye(3), -np.eye(3)])
+    corners = np.array([(a, b, c) for a in (1, -1) for b in (1, -1) for c in (1, -1)]) / np.sqrt(3)
+    directions = np.vstack([axes, corners])
+    return np.vstack([np.zeros((1, 3)), INNER * directions, OUTER * directions])
+
+
+def cfdem_points():
+    """The points of CFDEMcoupling: its corners lie at polar angles of 45 degrees, so the cloud is longer in z: (29, 3)."""
+    axes = np.vstack([np.eye(3), -np.eye(3)])
+    corners = np.array([(a, b, c * np.sqrt(2)) for a in (1, -1) for b in (1, -1) for c in (1, -1)]) / 2
+    directions = np.vstack([axes, corners])
+    return np.vstack([np.zeros((1, 3)), INNER * directions, OUTER * directions])
+
+
+@njit(cache=True)
+def _shares(barycentric, neighbour, shift, cell, position, radius, points, start, cells, weights):
+    """Fill the shares; points outside the domain do not count."""
+    number, here, m = 0, np.empty(3), barycentric.shape[1]
+    cut, at = np.empty(m, np.int64), np.empty(m)
+    for i in range(len(cell)):
+        start[i] = number
+        c, cuts, r = cell[i], 0, radius[i]
+        for f in range(m):  # distance to facet f over the height there is the barycentric coordinate
+            b = barycentric[c, f]
+            value = b[0] * position[i, 0] + b[1] * position[i, 1] + b[2] * position[i, 2] + b[3]
+            if value < r * np.sqrt(b[0] * b[0] + b[1] * b[1] + b[2] * b[2]):
+                cut[cuts], at[cuts] = f, value
+                cuts += 1
+        if cuts == 0 or len(points) == 1:
+            cells[number], weights[number] = c, 1.0
+            number += 1
+            continue
+        found, own = 0, 0
+        for s in range(len(points)):
+            low = 0.0
+            for n in range(cuts):
+                b = barycentric[c, cut[n]]
+                low = min(low, at[n] + r * (b[0] * points[s, 0] + b[1] * points[s, 1] + b[2] * points[s, 2]))
+            if low >= INSIDE:
+                own += 1
+                continue
+            for k in range(3):
+                here[k] = position[i, k] + r * points[s, k]
+            target = walk(barycentric, neighbour, shift, c, here, 100)
+            if target < 0:
+                continue
+            if target == c:
+                own += 1
+                continue
+            found += 1
+            for k in range(start[i], number + 1):
+                if k == number:
+                    cells[number], weights[number] = target, 1.0
+                    number += 1
+                    break
+                if cells[k] == target:
+                    weights[k] += 1.0
+                    break
+        if own > 0 or found == 0:
+            cells[number], weights[number] = c, max(own, 1)
+            number += 1
+            found += max(own, 1)
+        for k in range(start[i], number):
+            weights[k] /= found
+    start[len(cell)] = number
+    return number
+
+
+@njit(cache=True)
+def _deposit(start, cell, weight, quantity, out):
+    for i in range(len(start) - 1):
+        for n in range(start[i], start[i + 1]):
+            for k in range(quantity.shape[1]):
+                out[cell[n], k] += weight[n] * quantity[i, k]
+
+
+@njit(cache=True)
+def _gather(start, cell, weight, field, out):
+    for i in range(len(start) - 1):
+        for k in range(field.shape[1]):
+            total = 0.0
+            for n in range(start[i], start[i + 1]):
+                total += weight[n] * field[cell[n], k]
+            out[i, k] = total
+
+
+class SatellitePoints:
+    """Shares by points inside each particle: w_ij is the fraction of the points inside the domain that lie in cell j.
+
+    A particle that lies wholly inside its cell is not searched.
+
+    Args:
+        points: (points, 3) in radii; absent: 29 isotropic ones. See :func:`isotropic_points`, :func:`cfdem_points`.
+
+    Raises:
+        ValueError: for points of the wrong shape or outside the particle.
+    """
+
+    def __init__(self, points=None):
+        self.points = isotropic_points() if points is None else np.ascontiguousarray(points, float)
+        if self.points.ndim != 2 or self.points.shape[1] != 3 or not (np.linalg.norm(self.points, axis=1) <= 1).all():
+            raise ValueError(f"The satellite points have shape {self.points.shape}; give points (points, 3) inside a sphere of "
+                             "radius one.")
+
+    def prepare(self, cells, cell, position, radius):
+        """Find the shares of particles at ``position`` with centre in ``cell``: entries start[i]:start[i+1] of particle i."""
+        n = len(cell)
+        self.start = np.empty(n + 1, np.int64)
+        index, weight = np.empty(n * len(self.points) + 1, np.int32), np.empty(n * len(self.points) + 1)
+        number = _shares(cells.barycentric, cells.neighbour, cells.shift, cell, position, radius, self.points, self.start, index,
+                         weight)
+        self.cell, self.weight = index[:number], weight[:number]
+
+    def deposit(self, quantity, out):
+        """out[j] += sum_i w_ij quantity_i for (particles, k) quantities."""
+        _deposit(self.start, self.cell, self.weight, quantity, out)
+
+    def gather(self, field, out):
+        """out[i] = sum_j w_ij field_j for (cells, k) fields."""
+        _gather(self.start, self.cell, self.weight, field, out)
+
+
+class ParticleCentred(SatellitePoints):
+    """All of a particle belongs to the cell of its centre."""
+
+    def __init__(self):
+        super().__init__(np.zeros((1, 3)))
+
+
+@njit(cache=True)
+def _coordinates(barycentric, cell, position, out):
+    for i in range(len(cell)):
+        total = 0.0
+        for f in range(barycentric.shape[1]):
+            b = barycentric[cell[i], f]
+            out[i, f] = max(b[0] * position[i, 0] + b[1] * position[i, 1] + b[2] * position[i, 2] + b[3], 0.0)
+            total += out[i, f]
+        for f in range(barycentric.shape[1]):
+            out[i, f] /= total
+
+
+@njit(cache=True)
+def _to_vertices(vertex, cell, weight, quantity, out):
+    for i in range(len(cell)):
+        for f in range(weight.shape[1]):
+            for k in range(quantity.shape[1]):
+                out[vertex[cell[i], f], k] += weight[i, f] * quantity[i, k]
+
+
+@njit(cache=True)
+def _at_vertices(vertex, cell, weight, values, out):
+    for i in range(len(cell)):
+        for k in range(values.shape[1]):
+            total = 0.0
+            for f in range(weight.shape[1]):
+                total += weight[i, f] * values[vertex[cell[i], f], k]
+            out[i, k] = total
+
+
+@njit(cache=True)
+def cells_to_vertices(vertex, volume, patch, field, out):
+    """Volume-weighted means of a cell field around each vertex."""
+    for c in range(len(volume)):
+        for f in range(vertex.shape[1]):
+            for k in range(field.shape[1]):
+                out[vertex[c, f], k] += volume[c] / patch[vertex[c, f]] * field[c, k]
+
+
+@njit(cache=True)
+def _vertices_to_cells(vertex, volume, patch, values, out):
+    for c in range(len(volume)):
+        for f in range(vertex.shape[1]):
+            for k in range(values.shape[1]):
+                out[c, k] += volume[c] / patch[vertex[c, f]] * values[vertex[c, f], k]
+
+
+class HatKernel:
+    """Shares by P1 hat functions: continuous in time, also when a particle crosses a facet.
+
+    A particle gives its barycentric coordinate to each vertex of its cell, and each vertex shares that out to its cells by
+    their volume: w_ij = sum_v lambda_v(x_i) V_j / (volume of the cells at v). The reach is about one cell, whatever the
+    particle's size.
+    """
+
+    def prepare(self, cells, cell, position, radius):
+        """Coordinates of every particle in its cell."""
+        self.cells, self.cell = cells, cell.copy()
+        self.weight = np.empty((len(cell), cells.vertex.shape[1]))
+        _coordinates(cells.barycentric, cell, position, self.weight)
+        self.patch = patch_volume(cells)
+
+    def deposit(self, quantity, out):
+        """out[j] += sum_i w_ij quantity_i for (particles, k) quantities."""
+        values = np.zeros((len(self.patch), quantity.shape[1]))
+        _to_vertices(self.cells.local_vertex, self.cell, self.weight, quantity, values)
+        _vertices_to_cells(self.cells.local_vertex, self.cells.volume, self.patch, values, out)
+
+    def gather(self, field, out):
+        """out[i] = sum_j w_ij field_j for (cells, k) fields."""
+        values = np.zeros((len(self.patch), field.shape[1]))
+        cells_to_vertices(self.cells.local_vertex, self.cells.volume, self.patch, field, values)
+        _at_vertices(self.cells.local_vertex, self.cell, self.weight, values, out)
+
+
+class LinearInterpolation(HatKernel):
+    """Values at particles by linear interpolation between vertex means of a cell field."""
+
+
+def patch_volume(cells):
+    """(vertices,) volume of the cells around each local vertex."""
+    return np.bincount(cells.local_vertex.ravel(), np.repeat(cells.volume, cells.local_vertex.shape[1]),
+                       len(cells.vertex_start) - 1)
+
+
+MAPPINGS = {"satellite_points": SatellitePoints, "cfdem_points": lambda: SatellitePoints(cfdem_points()),
+            "particle_centred": ParticleCentred, "hat": HatKernel}
+
+
+def mapping_of(choice):
+    """A mapping from its name, or the object itself.
+
+    Raises:
+        ValueError: for an unknown name.
+    """
+    if isinstance(choice, str):
+        if choice not in MAPPINGS:
+            raise ValueError(f"There is no mapping {choice!r}; use one of {sorted(MAPPINGS)} or pass an object.")
+        return MAPPINGS[choice]()
+    if not all(hasattr(choice, name) for name in ("prepare", "deposit", "gather")):
+        raise ValueError(f"{choice!r} is no mapping; it needs the methods prepare, deposit and gather.")
+    return choice

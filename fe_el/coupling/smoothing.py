@@ -1,0 +1,226 @@
+"""Smoothing of cell fields over a length: self-adjoint and conservative, with a constant matrix that is set up once."""
+import numpy as np
+from dolfinx import fem
+from numba import njit
+from scipy.sparse import csr_matrix
+
+from fe_el.exchange import Halo
+from fe_el.fluid.linear_solver import ElementMatrix
+from fe_el.mesh import barycentric_maps, owned_corners
+from fe_el.particles.insertion import require_positive
+
+
+@njit(cache=True)
+def _to_nodes(dofs, volume, field, out):
+    share = 1.0 / dofs.shape[1]
+    for c in range(len(dofs)):
+        for i in range(dofs.shape[1]):
+            for k in range(field.shape[1]):
+                out[dofs[c, i], k] += share * volume[c] * field[c, k]
+
+
+@njit(cache=True)
+def _to_cells(dofs, values, out):
+    share = 1.0 / dofs.shape[1]
+    for c in range(len(dofs)):
+        for k in range(values.shape[1]):
+            total = 0.0
+            for i in range(dofs.shape[1]):
+                total += values[dofs[c, i], k]
+            out[c, k] = share * total
+
+
+@njit(cache=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
+def _chebyshev_step(start, column, value, inverse_diagonal, b, x, x_old, new, first, second, owned):
+    """new = x + first (x - x_old) + second D^-1 (b - H x) on the owned rows."""
+    row = np.empty(b.shape[1])
+    for i in range(owned):
+        row[:] = b[i]
+        for n in range(start[i], start[i + 1]):
+            for k in range(b.shape[1]):
+                row[k] -= value[n] * x[column[n], k]
+        for k in range(b.shape[1]):
+            new[i, k] = x[i, k] + first * (x[i, k] - x_old[i, k]) + second * inverse_diagonal[i] * row[k]
+
+
+class Nodes:
+    """The P1 nodes of a mesh with its cells: sums from cells, means to cells, halo exchange."""
+
+    def __init__(self, mesh):
+        d = mesh.topology.dim
+        self.comm, self.space = mesh.comm, fem.FunctionSpace(mesh, ("CG", 1))
+        corner, _ = owned_corners(mesh)
+        maps, measure = barycentric_maps(corner, d)
+        self.gradient = maps[:, :, :d]
+        self.dofs = np.ascontiguousarray(self.space.dofmap.list.array.reshape(-1, d + 1)[:len(corner)].astype(np.int32))
+        index_map = self.space.dofmap.index_map
+        self.owned, self.number = index_map.size_local, index_map.size_local + index_map.num_ghosts
+        self.halo, self.measure = Halo.of_index_map(self.comm, index_map), measure
+        self.total = self.comm.allreduce(measure.sum())
+
+    def load(self, field):
+        """Nodal integrals (nodes, k) of a cell field, complete on owned nodes."""
+        out = np.zeros((self.number, field.shape[1]))
+        _to_nodes(self.dofs, self.measure, np.ascontiguousarray(field), out)
+        return self.halo.reverse_add(out)
+
+    def means(self, values):
+        """Cell means (cells, k) of nodal values."""
+        out = np.empty((len(self.dofs), values.shape[1]))
+        _to_cells(self.dofs, values, out)
+        return out
+
+
+class HelmholtzSmoothing:
+    """Smoothing by one implicit step of diffusion with D = length^2 / dt: (1 - length^2 laplace) a = a_before.
+
+    Cell values become nodal loads, the Helmholtz problem (P1, lumped mass) is solved, and its cell means are returned. The
+    solver is a Chebyshev polynomial of fixed degree in the constant matrix, for all components at once: so the map is linear
+    and self-adjoint to round-off, whatever its tolerance, and the mean is split off, so integrals are kept to round-off.
+
+    Args:
+        mesh: dolfinx mesh.
+        length (float): smoothing length [m]; l^2 is half the second moment of the kernel per direction.
+        tolerance (float): bound of the solver's relative error in the energy norm.
+
+    Attributes:
+        iterations (int): degree of the polynomial.
+
+    Raises:
+        ValueError: for a length that is not positive.
+
+    Note:
+        Collective.
+    """
+
+    def __init__(self, mesh, length, tolerance=1e-6):
+        require_positive("smoothing length", length)
+        self.length, self.nodes = float(length), Nodes(mesh)
+        nodes, m = self.nodes, self.nodes.dofs.shape[1]
+        matrix = ElementMatrix(nodes.space, nodes.dofs)
+        stiffness = length ** 2 * np.einsum("cik,cjk,c->cij", nodes.gradient, nodes.gradient, nodes.measure)
+        matrix.values[:] = stiffness + np.eye(m) * (nodes.measure / m)[:, None, None]
+        matrix.assemble()
+        # bounds of the spectrum of D^-1 H from the elements (Fried 1972)
+        scale = 1 / np.sqrt(np.einsum("cii->ci", matrix.values))
+        spectrum = np.linalg.eigvalsh(matrix.values * scale[:, :, None] * scale[:, None, :])
+        low = -nodes.comm.allreduce(-spectrum[:, 0].min(initial=np.inf), op=_max())
+        high = nodes.comm.allreduce(spectrum[:, -1].max(initial=0.0), op=_max())
+        self._local_rows(matrix.matrix)
+        self.middle, self.half = 0.5 * (high + low), max(0.5 * (high - low), 1e-12 * high)
+        root = np.sqrt(high / low)
+        rate = (root - 1) / (root + 1)
+        self.iterations = max(int(np.ceil(np.log(tolerance / 2) / np.log(max(rate, 1e-12)))), 2)
+
+    def _local_rows(self, matrix):
+        """The owned rows as arrays with local columns, and the exchange for the columns of other ranks."""
+        comm, first = self.nodes.comm, matrix.getOwnershipRange()[0]
+        start, column, value = matrix.getValuesCSR()
+        starts, n = np.array(comm.allgather(first)), self.nodes.owned
+        local = column.astype(np.int64) - first
+        ghosts = np.unique(column[(local < 0) | (local >= n)]).astype(np.int64)
+        outside = (local < 0) | (local >= n)
+        local[outside] = n + np.searchsorted(ghosts, column[outside])
+        owners = np.searchsorted(starts, ghosts, side="right") - 1
+        self.halo = Halo.of_requests(comm, n + np.arange(len(ghosts)), owners, ghosts - starts[owners])
+        self.rows = n + len(ghosts)
+        self.start, self.column, self.value = start.astype(np.int64), local.astype(np.int32), value.copy()
+        self.diagonal = csr_matrix((value, local, start), (n, self.rows)).diagonal()
+
+    def _solve(self, load):
+        """Approximate H^-1 load by the Chebyshev polynomial; owned entries are right on return."""
+        n, k = self.nodes.owned, load.shape[1]
+        inverse = 1 / self.diagonal
+        x_old, x = np.zeros((self.rows, k)), np.zeros((self.rows, k))
+        x[:n] = inverse[:, None] * load[:n] / self.middle
+        sigma = self.middle / self.half
+        rho = 1 / sigma
+        for _ in range(self.iterations - 1):
+            self.halo.forward(x)
+            rho_new = 1 / (2 * sigma - rho)
+            new = np.empty_like(x)
+            _chebyshev_step(self.start, self.column, self.value, inverse, load, x, x_old, new, rho_new * rho,
+                            2 * rho_new / self.half, n)
+            x_old, x, rho = x, new, rho_new
+        return x
+
+    def __call__(self, field):
+        """Smoothed cell field (owned cells, k)."""
+        nodes = self.nodes
+        mean = nodes.comm.allreduce(nodes.measure @ field) / nodes.total
+        values = np.zeros((nodes.number, field.shape[1]))
+        values[:nodes.owned] = self._solve(nodes.load(field - mean))[:nodes.owned]
+        out = nodes.means(nodes.halo.forward(values))
+        return out + (mean - nodes.comm.allreduce(nodes.measure @ out) / nodes.total)
+
+
+class PatchAverage:
+    """Smoothing without a solve: cells to nodes to cells, weighted with volume; self-adjoint and conservative.
+
+    Args:
+        mesh: dolfinx mesh.
+        repeats (int): how often; the reach grows with its square root, by about one cell for one.
+
+    Raises:
+        ValueError: for fewer than one repeat.
+
+    Note:
+        Collective.
+    """
+
+    def __init__(self, mesh, repeats=1):
+        if repeats < 1:
+            raise ValueError(f"The number of repeats is {repeats}; it must be at least 1.")
+        self.nodes, self.repeats = Nodes(mesh), int(repeats)
+        self.mass = self.nodes.halo.forward(self.nodes.load(np.ones((len(self.nodes.dofs), 1))))
+
+    def __call__(self, field):
+        """Smoothed cell field (owned cells, k)."""
+        for _ in range(self.repeats):
+            field = self.nodes.means(self.nodes.halo.forward(self.nodes.load(field)) / self.mass)
+        return field
+
+
+class FixedValues:
+    """The paper's eq. 5 for mean particle velocities: values of filled cells stay, empty cells get smoothed neighbours.
+
+    (1 + kappa - length^2 laplace) a = (1 + kappa) a_before in filled cells, kappa and a_before zero in empty ones, on the
+    nodes (P1, lumped mass); filled cells then keep their own value exactly.
+
+    Args:
+        mesh: dolfinx mesh.
+        length (float): smoothing length [m].
+        kappa (float): fixing factor.
+
+    Note:
+        Collective.
+    """
+
+    def __init__(self, mesh, length, kappa=1e5):
+        require_positive("smoothing length", length)
+        require_positive("fixing factor kappa", kappa)
+        from fe_el.fluid.linear_solver import LinearSolver
+        self.nodes, self.kappa = Nodes(mesh), float(kappa)
+        nodes = self.nodes
+        self.stiffness = length ** 2 * np.einsum("cik,cjk,c->cij", nodes.gradient, nodes.gradient, nodes.measure)
+        self.matrix = ElementMatrix(nodes.space, nodes.dofs)
+        self.solver = LinearSolver(self.matrix.matrix, "fixed_values", "cg", "jacobi", 1e-10)
+
+    def __call__(self, field, filled):
+        """Field (owned cells, k) continued from the cells where ``filled`` is true into the empty ones."""
+        nodes, m = self.nodes, self.nodes.dofs.shape[1]
+        weight = np.where(filled, 1 + self.kappa, 1.0) * nodes.measure / m
+        self.matrix.values[:] = self.stiffness + np.eye(m) * weight[:, None, None]
+        self.matrix.assemble()
+        self.solver.new_values()
+        load = nodes.load(np.where(filled, 1 + self.kappa, 0.0)[:, None] * field)
+        values = np.zeros((nodes.number, field.shape[1]))
+        for k in range(field.shape[1]):
+            values[:nodes.owned, k] = self.solver.solve(load[:nodes.owned, k], np.zeros(nodes.owned))
+        out = nodes.means(nodes.halo.forward(values))
+        return np.where(filled[:, None], field, out)
+
+
+def _max():
+    from mpi4py import MPI
+    return MPI.MAX
