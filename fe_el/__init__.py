@@ -27,7 +27,7 @@ _HOME = {
     "time_steps": "output", "ParaViewOutput": "output", "write_summary": "output",
     "stage_seconds": "output",
 }
-_MODULES = ("drag_laws", "time_scales")
+_MODULES = ("drag_laws", "time_scales", "schemes")
 __all__ = [*_HOME, *_MODULES]
 
 

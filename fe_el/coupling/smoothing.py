@@ -93,7 +93,7 @@ class HelmholtzSmoothing:
         Collective.
     """
 
-    def __init__(self, mesh, length, tolerance=1e-6):
+    def __init__(self, mesh, length, tolerance=1e-4):
         require_positive("smoothing length", length)
         self.length, self.nodes = float(length), Nodes(mesh)
         nodes, m = self.nodes, self.nodes.dofs.shape[1]

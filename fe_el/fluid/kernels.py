@@ -34,8 +34,12 @@ def scatter(dofs, total, out):
 
 
 @njit(cache=True, fastmath=FAST)
-def transport_matrix(dofs, grad, volume, density, viscosity, dt, phi0, phi1, rate0, share_of_stress, q, values):
-    """Element matrices of lumped mass, skew-symmetric convection by M = rho phi0 q, and viscosity."""
+def transport_matrix(dofs, grad, volume, density, viscosity, dt, phi0, phi1, rate0, share_of_stress, q, open_node, values):
+    """Element matrices of lumped mass, skew-symmetric convection by M = rho phi0 q, and viscosity.
+
+    The void fraction's rate enters as the divergence that M really has (equal to it up to the solver's tolerance), so that
+    momentum is kept to round-off; nodes of outlets, where continuity is not imposed, take the rate itself.
+    """
     n, m = dofs.shape
     d = q.shape[1]
     share = 1.0 / m
@@ -47,14 +51,14 @@ def transport_matrix(dofs, grad, volume, density, viscosity, dt, phi0, phi1, rat
             for k in range(d):
                 flux[i] += grad[c, i, k] * q[c, k]
             flux[i] *= 0.5 * share * density * phi0[c] * vol
-        diagonal = share * vol * density * (phi1[c] / dt - 0.5 * rate0[c])
+        inertia, change = share * vol * density * phi1[c] / dt, 0.5 * share * vol * density * rate0[c]
         for i in range(m):
             for j in range(m):
                 g = 0.0
                 for k in range(d):
                     g += grad[c, i, k] * grad[c, j, k]
                 values[c, i, j] = flux[j] - flux[i] + share_of_stress[c] * viscosity * vol * g
-            values[c, i, i] += diagonal
+            values[c, i, i] += inertia - (change if open_node[dofs[c, i]] else m * flux[i])
 
 
 @njit(cache=True, fastmath=FAST)

@@ -13,6 +13,9 @@ class SolverDiverged(RuntimeError):
     """A linear solver did not converge."""
 
 
+FALLBACKS = (("gmres", "asm"), ("preonly", "lu"))  # tried in this order when the chosen method fails
+
+
 class ElementMatrix:
     """Square sparse matrix that is the sum of element matrices (cells, m, m) on the nodes of a P1 space."""
 
@@ -46,6 +49,10 @@ class LinearSolver:
         method, preconditioner (str): PETSc types.
         tolerance (float): relative residual.
         constant_nullspace (bool): whether the constant is in the kernel.
+
+    Attributes:
+        iterations (int): of the last solve.
+        fallbacks (int): solves that needed a stronger method than the chosen one.
     """
 
     def __init__(self, matrix, name, method, preconditioner, tolerance, constant_nullspace=False):
@@ -62,7 +69,7 @@ class LinearSolver:
             matrix.setNullSpace(self.nullspace)
         self.ksp.setFromOptions()
         self.x, self.b = matrix.createVecs()
-        self.iterations = 0
+        self.iterations, self.fallbacks, self.comm = 0, 0, matrix.comm.tompi4py()
 
     def new_values(self):
         """Say that the matrix has new values: the preconditioner is renewed once it costs twice the iterations."""
@@ -73,25 +80,50 @@ class LinearSolver:
             self.best = None
 
     def solve(self, rhs, guess):
-        """Solve for owned entries.
+        """Solve for owned entries; what fails is tried again with a fresh preconditioner, then with stronger methods.
 
         Raises:
-            SolverDiverged: with the reason and the last residual norms.
+            SolverDiverged: with the reason and the residual history of the last try.
         """
-        self.b.array[:], self.x.array[:] = rhs, guess
+        self.b.array[:] = rhs
         if self.nullspace:
             self.nullspace.remove(self.b)
-        self.ksp.solve(self.b, self.x)
-        if self.ksp.getConvergedReason() < 0 and self.best is not None:  # once more with a fresh preconditioner
+        if self._try(self.ksp, guess):
+            self.best = self.iterations if self.best is None else self.best
+            return self.x.array
+        if self.best is not None:
             self.ksp.getPC().setReusePreconditioner(False)
             self.ksp.setOperators(self.matrix)
-            self.x.array[:] = guess
-            self.ksp.solve(self.b, self.x)
-        reason = self.ksp.getConvergedReason()
-        self.iterations = self.ksp.getIterationNumber()
-        if reason < 0 or not np.isfinite(self.x.array).all():
-            raise SolverDiverged(f"The {self.name} solve failed (PETSc reason {reason}) after {self.iterations} iterations "
-                                 f"with residual {self.ksp.getResidualNorm():g} for a right-hand side of "
-                                 f"{self.b.norm():g}. Use a smaller time step or check the void fraction and drag fields.")
-        self.best = self.iterations if self.best is None else self.best
-        return self.x.array
+            self.best = None
+            if self._try(self.ksp, guess):
+                self.best = self.iterations
+                return self.x.array
+        for method, preconditioner in FALLBACKS[:1] if self.nullspace else FALLBACKS:
+            ksp = self._fallback(method, preconditioner)
+            if self._try(ksp, np.zeros_like(guess)):
+                self.fallbacks += 1
+                return self.x.array
+        history = ", ".join(f"{r:.3g}" for r in ksp.getConvergenceHistory()[-6:])
+        raise SolverDiverged(f"The {self.name} solve failed (PETSc reason {ksp.getConvergedReason()}) after {self.iterations} "
+                             f"iterations for a right-hand side of {self.b.norm():g}; last residuals {history}. Use a smaller "
+                             "time step or check the void fraction and drag fields.")
+
+    def _try(self, ksp, guess):
+        self.x.array[:] = guess
+        ksp.setConvergenceHistory(reset=True)
+        ksp.solve(self.b, self.x)
+        self.iterations = ksp.getIterationNumber()
+        finite = self.comm.allreduce(int(not np.isfinite(self.x.array).all())) == 0
+        return ksp.getConvergedReason() > 0 and finite
+
+    def _fallback(self, method, preconditioner):
+        ksp = PETSc.KSP().create(self.matrix.comm)
+        ksp.setOperators(self.matrix)
+        ksp.setType(method)
+        ksp.getPC().setType(preconditioner)
+        if preconditioner == "lu":
+            ksp.getPC().setFactorSolverType("mumps")
+        if method == "gmres":
+            ksp.setGMRESRestart(80)
+        ksp.setTolerances(rtol=self.ksp.getTolerances()[0], atol=1e-300, max_it=800)
+        return ksp

@@ -223,7 +223,7 @@ class VolumeAveragedNavierStokes:
         """Stage 2: convection and viscosity of the nodal velocity, implicit, skew-symmetric, conserving momentum."""
         d, values = self.dimension, self._transport.values
         kernels.transport_matrix(self.dofs, self.gradient, self.volume, self.density, self.viscosity, dt, phi0, phi, rate0,
-                                 np.ones_like(phi) if self.stress_of_mixture else phi, q, values)
+                                 np.ones_like(phi) if self.stress_of_mixture else phi, q, self.fixed_pressure, values)
         for facets, _ in self.outlets:
             kernels.open_boundary(facets.cell, facets.local, facets.area_normal, self.density, phi0, q, values)
         rhs = self.mass0[:, None] * u / dt + self.force

@@ -57,7 +57,7 @@ def locate_from(barycentric, neighbour, shift, vertex_start, vertex_cells, local
         if lowest_coordinate(barycentric, first, position[i, 0], position[i, 1], position[i, 2])[1] >= INSIDE:
             continue
         old[:] = position[i]
-        cell[i] = walk(barycentric, neighbour, shift, first, position[i], 200)
+        cell[i] = walk(barycentric, neighbour, shift, first, position[i], 2000)
         if cell[i] < 0:
             position[i] = old
             for v in local_vertex[first]:

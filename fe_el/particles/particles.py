@@ -173,6 +173,7 @@ class Particles:
         Note:
             Collective.
         """
+        self._wrap(self.position)
         missing = location.locate(self.cells, self.cell, self.position)
         if self.comm.allreduce(missing):
             self._search_everywhere()
@@ -224,6 +225,12 @@ class Particles:
         self.layout += 1
         return destination
 
+    def _wrap(self, position):
+        """Bring positions into the periodic box, in place, so that the walk to a far cell is short."""
+        if self.period is not None:
+            for k in np.flatnonzero(self.period):
+                position[:, k] -= np.floor(position[:, k] / self.period[k]) * self.period[k]
+
     def located(self):
         """Cell and position (wrapped into a periodic box) of every particle now, without changing the particles.
 
@@ -234,6 +241,7 @@ class Particles:
             Collective.
         """
         cell, position = self.cell.copy(), self.position.copy()
+        self._wrap(position)
         if self.comm.allreduce(location.locate(self.cells, cell, position)):
             self.locate()
             cell, position = self.cell.copy(), self.position.copy()

@@ -1,0 +1,209 @@
+"""A sedimenting suspension in a fully periodic box: the paper's critical test of coupling schemes (Radl et al., section 4.2)."""
+import argparse
+import logging
+import time
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from mpi4py import MPI
+
+import fe_el
+
+matplotlib.use("Agg")
+GRAVITY, GAS_DENSITY, GAS_VISCOSITY = 9.81, 1.3, 1.8e-5
+
+
+def arguments():
+    """Command line of the demo."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
+    p.add_argument("--diameter", type=float, default=150e-6, help="particle diameter [m]")
+    p.add_argument("--particle-density", type=float, default=1500.0, help="[kg/m^3]")
+    p.add_argument("--solid-fraction", type=float, default=0.1, help="mean solid fraction")
+    p.add_argument("--box", type=float, nargs=3, default=(48.0, 48.0, 96.0), help="box in particle diameters")
+    p.add_argument("--cells", type=int, nargs=3, default=(6, 6, 12), help="cubes per direction, six tetrahedra each")
+    p.add_argument("--coupling", default="conservative", help="scheme: " + ", ".join(sorted(fe_el.schemes.SCHEMES)))
+    p.add_argument("--dt-star", type=float, default=1.0, help="time step in fluid relaxation times of eq. 10 (Stokes)")
+    p.add_argument("--smoothing-length", type=float, help="in particle diameters; absent: no smoothing")
+    p.add_argument("--drag", default="beetstra", help="name of the drag law")
+    p.add_argument("--mapping", default="satellite_points", help="name of the mapping")
+    p.add_argument("--fluid-velocity", default="cell", help="at the particle: cell or linear")
+    p.add_argument("--contacts", action="store_true", help="resolve contacts")
+    p.add_argument("--coarse-graining", type=float, default=1.0, help="parcel diameter over particle diameter")
+    p.add_argument("--uniform", action="store_true", help="one particle state per cell: no clustering, for the analytic slip")
+    p.add_argument("--end-time", type=float, default=0.5, help="simulated time [s]")
+    p.add_argument("--seed", type=int, default=1, help="seed of the positions")
+    p.add_argument("--output-every", type=float, default=0.05, help="time between ParaView outputs [s]")
+    p.add_argument("--output", default="out/sedimenting_suspension", help="folder for results")
+    return p
+
+
+class Suspension:
+    """Fluid, particles and coupling in a periodic box that carries its weight by a mean pressure gradient."""
+
+    def __init__(self, diameter, particle_density, solid_fraction, box, cells, coupling, drag, mapping, fluid_velocity,
+                 smoothing_length, coarse_graining, contacts, seed, tolerance=1e-10):
+        lengths = np.array(box, float) * diameter
+        self.mesh, _ = fe_el.periodic_box(lengths, cells)
+        size = coarse_graining * diameter
+        count = int(round(solid_fraction * lengths.prod() / (np.pi / 6 * size ** 3)))
+        self.solid = count * np.pi / 6 * size ** 3 / lengths.prod()
+        down = np.array([0, 0, -GRAVITY])
+        mixture = self.solid * particle_density + (1 - self.solid) * GAS_DENSITY
+        law = fe_el.Drag(drag)
+        self.slip = fe_el.time_scales.homogeneous_slip(diameter, particle_density, GAS_DENSITY, GAS_VISCOSITY, self.solid, law.law)
+        self.air = fe_el.VolumeAveragedNavierStokes(self.mesh, None, GAS_DENSITY, GAS_VISCOSITY, down, tolerance,
+                                                    mean_pressure_gradient=-mixture * down)
+        self.beads = fe_el.Particles(self.mesh, particle_density, down)
+        fall = -self.slip * (1 - self.solid) * GAS_DENSITY / mixture  # total momentum zero at the homogeneous slip
+        self.beads.insert_in_box((0, 0, 0), lengths, count, size, velocity=(0, 0, fall), seed=seed,
+                                 without_overlap=bool(contacts), coarse_graining=coarse_graining)
+        self.air.set_initial_velocity((0, 0, fall + self.slip))
+        smoothing = fe_el.HelmholtzSmoothing(self.mesh, smoothing_length * diameter) if smoothing_length else None
+        self.coupling = fe_el.Coupling(self.beads, self.air.velocity, self.air.pressure, GAS_DENSITY, GAS_VISCOSITY,
+                                       [law, fe_el.PressureGradient(-mixture * down)], coupling, mapping, smoothing,
+                                       fluid_velocity)
+        self.contacts, self.count = None, count
+        self.weight = count * np.pi / 6 * size ** 3 * particle_density * GRAVITY
+        if contacts:
+            mass = np.pi / 6 * size ** 3 * particle_density
+            stiffness = mass / 2 * (self.slip / (0.02 * size)) ** 2  # overlaps of about 2 % at the slip velocity
+            self.contacts = fe_el.Contacts(self.beads, fe_el.LinearSpringDashpot(stiffness, restitution=0.9, friction=0.1),
+                                           steps_per_contact=25)
+
+    def advance(self, dt):
+        """One time step."""
+        self.coupling.to_fluid(dt)
+        self.air.advance(dt, self.coupling.fields)
+        self.coupling.to_particles(dt)
+        self.beads.advance(dt, self.contacts)
+
+    def momentum(self):
+        """Total momentum (3,) [kg m/s]."""
+        return self.fluid_momentum() + self.beads.momentum()
+
+    def fluid_momentum(self):
+        """Momentum of the fluid, with the void fraction of the last mapping (3,) [kg m/s]."""
+        air = self.air
+        mass = GAS_DENSITY * self.coupling.fields[0].x.array[:air.num_cells] * air.volume
+        return air.comm.allreduce(mass @ air.velocity.x.array.reshape(-1, 3)[:air.num_cells])
+
+    def mean_slip(self):
+        """Momentum-averaged velocity of the fluid less that of the particles, upwards [m/s]."""
+        air, beads = self.air, self.beads
+        phi = self.coupling.fields[0].x.array[:air.num_cells]
+        mass = air.comm.allreduce(np.array([GAS_DENSITY * phi @ air.volume, beads.mass.sum()]))
+        return self.fluid_momentum()[2] / mass[0] - beads.momentum()[2] / mass[1]
+
+    def energy(self):
+        """Kinetic energy of both phases [J]."""
+        air = self.air
+        u = air.velocity.x.array.reshape(-1, 3)[:air.num_cells]
+        phi = self.coupling.fields[0].x.array[:air.num_cells]
+        fluid = air.comm.allreduce(0.5 * GAS_DENSITY * float((phi * air.volume) @ (u ** 2).sum(1)))
+        return fluid + self.beads.kinetic_energy()
+
+
+def mean_and_error(values, blocks=8):
+    """Mean and its standard error from block means, which are long against the correlation time."""
+    values = np.asarray(values)
+    if len(values) < 2 * blocks:
+        return values.mean(), values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else 0.0
+    means = np.array([b.mean() for b in np.array_split(values, blocks)])
+    return values.mean(), means.std(ddof=1) / np.sqrt(blocks)
+
+
+def main(diameter=150e-6, particle_density=1500.0, solid_fraction=0.1, box=(48.0, 48.0, 96.0), cells=(6, 6, 12),
+         coupling="conservative", dt_star=1.0, smoothing_length=None, drag="beetstra", mapping="satellite_points",
+         fluid_velocity="cell", contacts=False, coarse_graining=1.0, uniform=False, end_time=0.5, seed=1, output_every=0.05,
+         output="out/sedimenting_suspension", progress=True):
+    """Run the suspension and return the summary."""
+    if not 0 < solid_fraction < 0.6 or not dt_star > 0:
+        raise ValueError(f"--solid-fraction is {solid_fraction} and --dt-star {dt_star}; give a fraction in (0, 0.6) and a "
+                         "positive step.")
+    logging.getLogger().setLevel(logging.WARNING)
+    scene = Suspension(diameter, particle_density, solid_fraction, box, cells, coupling, drag, mapping, fluid_velocity,
+                       smoothing_length, coarse_graining, contacts, seed)
+    if uniform:
+        make_uniform(scene)
+    beads, comm = scene.beads, scene.beads.comm
+    tau_f = float(fe_el.time_scales.fluid_relaxation_time(diameter, GAS_DENSITY, GAS_VISCOSITY, scene.solid))
+    dt = dt_star * tau_f
+    out = fe_el.ParaViewOutput(output, beads, [scene.air.velocity, scene.air.pressure, scene.coupling.fields[0]], output_every)
+    scene.coupling.to_fluid(dt)  # the void fraction that the first momentum is taken with
+    rows, stable, start, first = [], True, time.perf_counter(), scene.momentum()
+    for now in fe_el.time_steps(dt, max(end_time, dt), progress=progress):
+        try:
+            scene.advance(dt)
+        except (FloatingPointError, fe_el.SolverDiverged, fe_el.LostParticle) as error:
+            stable, reason = False, str(error)
+            break
+        rows.append((now, scene.mean_slip(), scene.coupling.momentum_imbalance, scene.coupling.max_solid_fraction,
+                     scene.coupling.solid_volume_error, scene.air.mass_residual()))
+        if not abs(rows[-1][1]) < 10 * scene.slip:
+            stable, reason = False, f"the slip velocity grew to {rows[-1][1]:g} m/s"
+            break
+        out.write(now)
+    wall_time, rows = time.perf_counter() - start, np.array(rows).reshape(-1, 6)
+    if not stable and comm.rank == 0:
+        print(f"Unstable after {len(rows)} steps: {reason}")
+    late = rows[rows[:, 0] > 0.5 * rows[-1, 0], 1] if len(rows) else np.array([np.nan])
+    slip, error = mean_and_error(late)
+    drift = np.abs(scene.momentum() - first).max() / (scene.weight * rows[-1, 0]) if len(rows) else np.nan
+    law = scene.coupling.drag.law
+    re = GAS_DENSITY * (1 - scene.solid) * scene.slip * diameter / GAS_VISCOSITY
+    numbers = {
+        "particles": beads.total_number, "cells": comm.allreduce(scene.air.num_cells), "coupling": coupling, "mapping": mapping,
+        "dt_star": dt_star, "time_step": dt, "end_time": end_time, "steps": len(rows), "slip_velocity": slip,
+        "slip_velocity_error": error, "homogeneous_slip": scene.slip, "drift_over_weight": drift, "stable": stable,
+        "tau_f": tau_f, "tau_f_drag_law": float(fe_el.time_scales.fluid_relaxation_time(
+            diameter, GAS_DENSITY, GAS_VISCOSITY, scene.solid, law, re)),
+        "tau_p": float(fe_el.time_scales.particle_relaxation_time(diameter, particle_density, GAS_VISCOSITY)),
+        "max_solid_fraction": rows[:, 3].max(initial=0.0), "momentum_imbalance": rows[:, 2].max(initial=0.0),
+        "solid_volume_error": rows[:, 4].max(initial=0.0), "mass_residual": rows[:, 5].max(initial=0.0),
+        "over_filled_cells": scene.coupling.over_filled_total, "courant": scene.air.courant(dt),
+        "lost_particles": scene.count - beads.total_number, "wall_time": wall_time,
+        **fe_el.stage_seconds(scene.contacts, scene.air, scene.coupling, out)}
+    if scene.contacts:
+        numbers["contact_steps_per_fluid_step"] = scene.contacts.steps_last
+    if comm.rank == 0:
+        picture(output, rows, numbers)
+    return fe_el.write_summary(output, comm, **numbers)
+
+
+def make_uniform(scene):
+    """Give every cell the same solid fraction: each particle fills the whole box evenly."""
+    class Even:
+        """The share of every particle in a cell is the cell's part of the box."""
+
+        def prepare(self, cells, cell, position, radius):
+            self.part = np.where(np.arange(len(cells.volume)) < cells.owned, cells.volume, 0.0)
+            self.part /= scene.mesh.comm.allreduce(self.part.sum())
+            self.total = None
+
+        def deposit(self, quantity, out):
+            out += self.part[:, None] * scene.mesh.comm.allreduce(quantity.sum(0))
+
+        def gather(self, field, out):
+            out[:] = scene.mesh.comm.allreduce(self.part @ field)
+    scene.coupling.mapping = Even()
+
+
+def picture(output, rows, numbers):
+    """PNG: slip velocity against time."""
+    from matplotlib import pyplot as plt
+    figure, axis = plt.subplots(figsize=(7, 4))
+    axis.plot(rows[:, 0], rows[:, 1], lw=0.9, label=f"{numbers['coupling']}, dt* = {numbers['dt_star']:g}")
+    axis.axhline(numbers["homogeneous_slip"], color="k", ls="--", label="uniform suspension")
+    axis.set(xlabel="time [s]", ylabel="slip velocity [m/s]", ylim=(0, None))
+    axis.legend()
+    figure.tight_layout()
+    figure.savefig(Path(output) / "slip_velocity.png", dpi=110)
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    summary = main(**vars(arguments().parse_args()))
+    if MPI.COMM_WORLD.rank == 0:
+        for key, value in summary.items():
+            print(f"{key:32s} {value}")
