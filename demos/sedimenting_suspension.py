@@ -26,11 +26,10 @@ def arguments():
     p.add_argument("--dt-star", type=float, default=1.0, help="time step in fluid relaxation times of eq. 10 (Stokes)")
     p.add_argument("--smoothing-length", type=float, help="in particle diameters; absent: no smoothing")
     p.add_argument("--drag", default="beetstra", help="name of the drag law")
-    p.add_argument("--mapping", default="satellite_points", help="name of the mapping")
+    p.add_argument("--mapping", default="satellite_points", help="name of the mapping: " + ", ".join(sorted(fe_el.mapping.MAPPINGS)))
     p.add_argument("--fluid-velocity", default="cell", help="at the particle: cell or linear")
     p.add_argument("--contacts", action="store_true", help="resolve contacts")
     p.add_argument("--coarse-graining", type=float, default=1.0, help="parcel diameter over particle diameter")
-    p.add_argument("--uniform", action="store_true", help="one particle state per cell: no clustering, for the analytic slip")
     p.add_argument("--end-time", type=float, default=0.5, help="simulated time [s]")
     p.add_argument("--seed", type=int, default=1, help="seed of the positions")
     p.add_argument("--output-every", type=float, default=0.05, help="time between ParaView outputs [s]")
@@ -115,7 +114,7 @@ def mean_and_error(values, blocks=8):
 
 def main(diameter=150e-6, particle_density=1500.0, solid_fraction=0.1, box=(48.0, 48.0, 96.0), cells=(6, 6, 12),
          coupling="conservative", dt_star=1.0, smoothing_length=None, drag="beetstra", mapping="satellite_points",
-         fluid_velocity="cell", contacts=False, coarse_graining=1.0, uniform=False, end_time=0.5, seed=1, output_every=0.05,
+         fluid_velocity="cell", contacts=False, coarse_graining=1.0, end_time=0.5, seed=1, output_every=0.05,
          output="out/sedimenting_suspension", progress=True):
     """Run the suspension and return the summary."""
     if not 0 < solid_fraction < 0.6 or not dt_star > 0:
@@ -124,8 +123,6 @@ def main(diameter=150e-6, particle_density=1500.0, solid_fraction=0.1, box=(48.0
     logging.getLogger().setLevel(logging.WARNING)
     scene = Suspension(diameter, particle_density, solid_fraction, box, cells, coupling, drag, mapping, fluid_velocity,
                        smoothing_length, coarse_graining, contacts, seed)
-    if uniform:
-        make_uniform(scene)
     beads, comm = scene.beads, scene.beads.comm
     tau_f = float(fe_el.time_scales.fluid_relaxation_time(diameter, GAS_DENSITY, GAS_VISCOSITY, scene.solid))
     dt = dt_star * tau_f
@@ -169,24 +166,6 @@ def main(diameter=150e-6, particle_density=1500.0, solid_fraction=0.1, box=(48.0
     if comm.rank == 0:
         picture(output, rows, numbers)
     return fe_el.write_summary(output, comm, **numbers)
-
-
-def make_uniform(scene):
-    """Give every cell the same solid fraction: each particle fills the whole box evenly."""
-    class Even:
-        """The share of every particle in a cell is the cell's part of the box."""
-
-        def prepare(self, cells, cell, position, radius):
-            self.part = np.where(np.arange(len(cells.volume)) < cells.owned, cells.volume, 0.0)
-            self.part /= scene.mesh.comm.allreduce(self.part.sum())
-            self.total = None
-
-        def deposit(self, quantity, out):
-            out += self.part[:, None] * scene.mesh.comm.allreduce(quantity.sum(0))
-
-        def gather(self, field, out):
-            out[:] = scene.mesh.comm.allreduce(self.part @ field)
-    scene.coupling.mapping = Even()
 
 
 def picture(output, rows, numbers):

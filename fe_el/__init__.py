@@ -4,7 +4,7 @@ Fluid: VolumeAveragedNavierStokes
 Particles: Particles, LostParticle, Contacts; laws LinearSpringDashpot, HertzMindlin, RollingFriction, ArrayLaw;
     walls FacetWalls, PlaneWall, CylinderWall
 Coupling: Coupling; forces Drag, PressureGradient, ViscousStress, Buoyancy; drag_laws; HelmholtzSmoothing, PatchAverage;
-    SatellitePoints, ParticleCentred, HatKernel; time_scales
+    SatellitePoints, ParticleCentred, HatKernel, WellMixed; time_scales
 Meshes: read_mesh, mesh_geo, box, periodic_box
 Running: time_steps, ParaViewOutput, stage_seconds, write_summary
 
@@ -22,12 +22,12 @@ _HOME = {
     "Coupling": "coupling.coupling", "Drag": "coupling.forces",
     "PressureGradient": "coupling.forces", "ViscousStress": "coupling.forces", "Buoyancy": "coupling.forces",
     "HelmholtzSmoothing": "coupling.smoothing", "PatchAverage": "coupling.smoothing", "SatellitePoints": "coupling.mapping",
-    "ParticleCentred": "coupling.mapping", "HatKernel": "coupling.mapping",
+    "ParticleCentred": "coupling.mapping", "HatKernel": "coupling.mapping", "WellMixed": "coupling.mapping",
     "read_mesh": "mesh", "mesh_geo": "mesh", "box": "box_mesh", "periodic_box": "periodic_mesh",
     "time_steps": "output", "ParaViewOutput": "output", "write_summary": "output",
     "stage_seconds": "output",
 }
-_MODULES = ("drag_laws", "time_scales", "schemes")
+_MODULES = ("drag_laws", "time_scales", "schemes", "mapping")
 __all__ = [*_HOME, *_MODULES]
 
 

@@ -27,7 +27,7 @@ class Coupling:
         fluid_density, fluid_viscosity (float): [kg/m^3], [Pa s].
         forces: list of :class:`Drag`, :class:`PressureGradient`, :class:`ViscousStress`, :class:`Buoyancy`.
         scheme (str): ``conservative``, ``explicit``, ``implicit``, ``split`` or ``void_cells_explicit``.
-        mapping: ``satellite_points``, ``cfdem_points``, ``particle_centred``, ``hat``, or an object (see
+        mapping: ``satellite_points``, ``cfdem_points``, ``particle_centred``, ``hat``, ``well_mixed``, or an object (see
             :mod:`fe_el.coupling.mapping`).
         smoothing: :class:`HelmholtzSmoothing`, :class:`PatchAverage` or another self-adjoint map of cell fields; absent: none.
         fluid_velocity (str): velocity at the particle: ``cell`` means, or ``linear`` interpolation between vertices; the

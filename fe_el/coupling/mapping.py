@@ -1,5 +1,6 @@
 """Mapping between particles and cells: which share w_ij of particle i belongs to cell j. The shares of a particle sum to one."""
 import numpy as np
+from mpi4py import MPI
 from numba import njit
 
 from fe_el.particles.location import INSIDE, walk
@@ -213,6 +214,30 @@ class HatKernel:
         _at_vertices(self.cells.local_vertex, self.cell, self.weight, values, out)
 
 
+class WellMixed:
+    """Every particle fills the whole domain evenly: no clusters, for the analytic limits of laws and schemes.
+
+    Note:
+        Collective.
+    """
+
+    def __init__(self, comm=MPI.COMM_WORLD):
+        self.comm = comm
+
+    def prepare(self, cells, cell, position, radius):
+        """Each cell's part of the domain."""
+        self.part = np.where(np.arange(len(cells.volume)) < cells.owned, cells.volume, 0.0)
+        self.part /= self.comm.allreduce(self.part.sum())
+
+    def deposit(self, quantity, out):
+        """out[j] += V_j / V sum_i quantity_i for (particles, k) quantities."""
+        out += self.part[:, None] * self.comm.allreduce(quantity.sum(0))
+
+    def gather(self, field, out):
+        """out[i] = sum_j V_j / V field_j for (cells, k) fields."""
+        out[:] = self.comm.allreduce(self.part @ field)
+
+
 class LinearInterpolation(HatKernel):
     """Values at particles by linear interpolation between vertex means of a cell field."""
 
@@ -224,7 +249,7 @@ def patch_volume(cells):
 
 
 MAPPINGS = {"satellite_points": SatellitePoints, "cfdem_points": lambda: SatellitePoints(cfdem_points()),
-            "particle_centred": ParticleCentred, "hat": HatKernel}
+            "particle_centred": ParticleCentred, "hat": HatKernel, "well_mixed": WellMixed}
 
 
 def mapping_of(choice):

@@ -28,15 +28,21 @@ class Exchange(NamedTuple):
 class Conservative:
     """Exact relaxation of every particle over the step; what particles gain the fluid loses, to round-off, for any step.
 
-    With a_i = dt beta_i / rho_p, beta'_i = rho_p (1 - exp(-a_i)) / dt and v*_i the velocity particle i would have without
-    drag: A_j = sum w_ij V_i beta'_i / V_j, B_j = sum w_ij V_i beta'_i v*_i / V_j; particle i then receives
-    V_i beta'_i (sum_j w_ij u_j - v*_i) with the new u.
+    dv/dt = g_i + (beta_i / rho_p) (u - v) with constant u and g_i (all but drag) has the drag impulse V_i beta'_i dt (u - v*_i)
+    with a_i = dt beta_i / rho_p, beta'_i = rho_p (1 - exp(-a_i)) / dt and v*_i = v_i + g_i dt (1 / (1 - exp(-a_i)) - 1 / a_i).
+    So A_j = sum w_ij V_i beta'_i / V_j, B_j = sum w_ij V_i beta'_i v*_i / V_j, and particle i then receives exactly
+    V_i beta'_i (sum_j w_ij u_j - v*_i) with the new u. The settling velocity is exact at any step.
     """
 
     def fields(self, x):
         """A (cells, 1) and B (cells, d)."""
-        self.rate = -x.volume * x.density * np.expm1(-x.dt * x.beta / x.density) / x.dt
-        self.target = x.velocity + x.dt * x.acceleration - x.offset
+        a = x.dt * x.beta / x.density
+        part = -np.expm1(-a)
+        self.rate = x.volume * x.density * part / x.dt
+        small = a < 1e-3
+        safe = np.where(small, 1.0, a)
+        lag = np.where(small, 0.5 + a / 12, 1 / np.where(small, 1.0, part) - 1 / safe)
+        self.target = x.velocity + x.dt * lag * x.acceleration - x.offset
         out = x.to_cells(np.hstack([self.rate, self.rate * self.target]))
         return out[:, :1], out[:, 1:]
 
