@@ -142,7 +142,7 @@ def finish(output, record, beads, contacts, air, coupling, out, numbers):
                 "pressure_drop": rows[late, 1].mean()}
     if air:
         numbers["drag_law_pressure_drop"] = drag_law_drop(beads, coupling.drag, numbers["superficial_velocity"],
-                                                          WIDTH * numbers.pop("slice") * DEPTH)
+                                                          WIDTH * numbers["slice"] * DEPTH)
         numbers |= {"solid_volume_error": record.solid, "momentum_imbalance": record.momentum, "mass_residual": record.mass,
                     "max_solid_fraction": record.fullest, "over_filled_cells": coupling.over_filled_total}
     picture(output, rows, beads, numbers)

@@ -3,7 +3,7 @@ import json
 
 import pytest
 
-from demos import fluidised_bed
+from demos import error_against_run_time, fluidised_bed, sedimenting_suspension, time_scales
 
 
 @pytest.mark.ranks
@@ -33,3 +33,43 @@ def test_dry_bed_imports_no_fluid(tmp_path_factory):
     if MPI.COMM_WORLD.rank == 0:
         from pathlib import Path
         subprocess.run([sys.executable, "-c", code], check=True, env=clean, cwd=Path(__file__).parent.parent)
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("options", [{}, {"contacts": True}, {"smoothing_length": 3.0, "mapping": "hat", "fluid_velocity": "linear"},
+                                     {"coarse_graining": 3.0, "box": (48.0,) * 3}])
+def test_sedimenting_suspension(folder, options):
+    """The ledger of the small demo, and a slip near that of the uniform suspension so early on."""
+    common = {"box": (24.0,) * 3, "cells": (4, 4, 4), "end_time": 0.005, "output": folder, "progress": False}
+    summary = sedimenting_suspension.main(**{**common, **options})
+    assert summary["stable"] and summary["lost_particles"] == 0
+    assert summary["drift_over_weight"] < 1e-10 and summary["solid_volume_error"] < 1e-12
+    if options.get("coarse_graining"):  # few parcels to a cell: the fluid finds channels, the slip can only be larger
+        assert 0.9 < summary["slip_velocity"] / summary["homogeneous_slip"] < 2
+    else:
+        assert summary["slip_velocity"] == pytest.approx(summary["homogeneous_slip"], rel=0.25)
+    assert summary["tau_f"] == pytest.approx(8.125e-4, rel=2e-3) and summary["tau_p"] == pytest.approx(0.1041667, rel=1e-4)
+
+
+def test_unstable_explicit_run_says_so(folder):
+    summary = sedimenting_suspension.main(coupling="explicit", dt_star=1.0, box=(24.0,) * 3, cells=(4, 4, 4), end_time=0.05,
+                                          output=folder, progress=False)
+    assert not summary["stable"]
+
+
+def test_time_scales_of_the_papers_figure(folder):
+    """Solid fraction 0.1: tau_f limits below about 200 um; 0.001: relaxation below about 20 um; 20 um needs 1e-6 to 1e-5 s."""
+    summary = time_scales.main(output=folder)
+    assert summary["largest_diameter_limited_by_tau_f_at_0.1"] == pytest.approx(200e-6, rel=0.1)
+    assert summary["largest_diameter_limited_by_tau_p_at_0.001"] == pytest.approx(18e-6, rel=0.3)
+    assert 1e-6 < summary["time_step_at_20_um_at_0.1"] < 1e-5
+    assert "conservative" in summary["advice"]
+
+
+def test_error_against_run_time(folder):
+    summary = error_against_run_time.main(schemes=("conservative", "explicit"), dt_star=(0.1, 2.0), cells=(3,), box=18.0,
+                                          end_time=0.01, seeds=1, reference_dt_star=0.05, output=folder, progress=False)
+    assert summary["largest_stable_dt_star_conservative"] == 2.0 and summary["largest_stable_dt_star_explicit"] == 0.1
+    assert summary["drift_over_weight_conservative"] < 1e-12
+    with open(folder + "/error_against_run_time.csv") as file:
+        assert len(file.readlines()) == 5

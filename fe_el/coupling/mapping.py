@@ -44,16 +44,25 @@ def _shares(barycentric, neighbour, shift, cell, position, radius, points, start
             continue
         found, own = 0, 0
         for s in range(len(points)):
-            low = 0.0
+            low, facet = INSIDE, -1
             for n in range(cuts):
                 b = barycentric[c, cut[n]]
-                low = min(low, at[n] + r * (b[0] * points[s, 0] + b[1] * points[s, 1] + b[2] * points[s, 2]))
-            if low >= INSIDE:
+                value = at[n] + r * (b[0] * points[s, 0] + b[1] * points[s, 1] + b[2] * points[s, 2])
+                if value < low:
+                    low, facet = value, cut[n]
+            if facet < 0:
                 own += 1
                 continue
             for k in range(3):
                 here[k] = position[i, k] + r * points[s, k]
-            target = walk(barycentric, neighbour, shift, c, here, 100)
+            target = neighbour[c, facet]
+            if target >= 0:  # one step of the walk is known already
+                if len(shift):
+                    for k in range(3):
+                        here[k] += shift[c, facet, k]
+            else:
+                target = c
+            target = walk(barycentric, neighbour, shift, target, here, 100)
             if target < 0:
                 continue
             if target == c:
