@@ -1,7 +1,7 @@
 """fe_el: finite-element fluid with Lagrangian particles on FEniCSx.
 
 Fluid: VolumeAveragedNavierStokes
-Particles: Particles, LostParticle, Contacts; laws LinearSpringDashpot, HertzMindlin, RollingFriction, ArrayLaw;
+Particles: Particles, Inlet, LostParticle, Contacts; laws LinearSpringDashpot, HertzMindlin, RollingFriction, ArrayLaw;
     walls FacetWalls, PlaneWall, CylinderWall
 Coupling: Coupling; forces Drag, PressureGradient, ViscousStress, Buoyancy; drag_laws; HelmholtzSmoothing, PatchAverage;
     SatellitePoints, ParticleCentred, HatKernel, WellMixed; time_scales
@@ -17,7 +17,8 @@ _HOME = {
     "VolumeAveragedNavierStokes": "fluid.volume_averaged_navier_stokes", "SolverDiverged": "fluid.linear_solver",
     "Particles": "particles.particles", "LostParticle": "particles.particles", "Contacts": "particles.contacts",
     "LinearSpringDashpot": "particles.contact_laws", "HertzMindlin": "particles.contact_laws",
-    "RollingFriction": "particles.contact_laws", "ArrayLaw": "particles.array_law", "FacetWalls": "particles.wall_shapes",
+    "RollingFriction": "particles.contact_laws", "ArrayLaw": "particles.array_law", "Inlet": "particles.open_boundaries",
+    "FacetWalls": "particles.wall_shapes",
     "PlaneWall": "particles.wall_shapes", "CylinderWall": "particles.wall_shapes",
     "Coupling": "coupling.coupling", "Drag": "coupling.forces",
     "PressureGradient": "coupling.forces", "ViscousStress": "coupling.forces", "Buoyancy": "coupling.forces",

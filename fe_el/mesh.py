@@ -183,6 +183,29 @@ def boundary_facets(mesh, facet_tags, groups):
     return tuple(np.concatenate([p[i] for p in parts]) for i in range(3))
 
 
+def exterior_facets(mesh, facet_tags, groups):
+    """Corners (facets, d, 3) of all boundary facets, and whether each is in one of the groups, on every rank.
+
+    Note:
+        Collective.
+    """
+    d = mesh.topology.dim
+    mesh.topology.create_connectivity(d - 1, d)
+    mesh.topology.create_connectivity(d, d - 1)
+    to_cell, to_facet = mesh.topology.connectivity(d - 1, d), mesh.topology.connectivity(d, d - 1)
+    corner, _ = owned_corners(mesh)
+    chosen = set(facet_tags.indices[np.isin(facet_tags.values, groups)].tolist())
+    corners, flags = [], []
+    for facet in range(mesh.topology.index_map(d - 1).size_local):
+        cells = to_cell.links(facet)
+        if len(cells) == 1 and cells[0] < len(corner):
+            local = int(np.flatnonzero(to_facet.links(cells[0]) == facet)[0])
+            corners.append(np.delete(corner[cells[0]], local, 0))
+            flags.append(facet in chosen)
+    parts = mesh.comm.allgather((np.array(corners).reshape(-1, d, 3), np.array(flags, bool)))
+    return np.concatenate([c for c, _ in parts]), np.concatenate([f for _, f in parts])
+
+
 def require_groups(mesh, facet_tags, groups):
     """The groups as a tuple of int, after checking that each has a facet on some rank."""
     groups = tuple(int(g) for g in np.atleast_1d(groups))

@@ -60,15 +60,15 @@ class ContactLists:
         kept = self._collect(step, layout)
         largest, speed = comm.allreduce(np.array([p.diameter.max(), p.speed()]) if len(p) else np.zeros(2), op=MPI.MAX)
         total = comm.allreduce(np.array([p.diameter.sum(), len(p)]))
-        self._choose_skin(total[0] / total[1], largest, speed, h)
+        self._choose_skin(total[0] / max(total[1], 1), largest, speed, h)
         self._check_period(largest)
         p.reach_halo(2 * (largest + self.skin))
         if self.facets is not None and (self._reach < largest / 2 + self.skin or self._cells is not p.cells):
             self._reach, self._cells = 1.2 * (largest / 2 + self.skin), p.cells
             self._candidates = _walls.wall_candidates(p.cells, self.facets[0], self._reach)
-        destination = p.locate()
+        before, destination = p.id, p.locate()
         if destination is not None:
-            kept = self._move_springs(kept, destination)
+            kept = self._move_springs(kept, destination, before)
         if self.rebuilds % SORT_EVERY == 0 or layout is None:
             kept = self._sort(kept, largest + self.skin)
         self.ghosts = Ghosts(comm, p.position, largest + self.skin, p.period)
@@ -92,7 +92,7 @@ class ContactLists:
         elif 4 * h * speed > self.skin:
             raise ValueError(f"The fastest particle moves {h * speed:g} m in one sub-step of {h:g} s, too much for the skin of "
                              f"{self.skin:g} m; leave skin= out, or use more steps_per_contact.")
-        if self.skin > 2 * largest:
+        if self.skin > 2 * largest > 0:
             raise FloatingPointError(f"The fastest particle (velocity {speed:g} m/s) moves {h * speed:g} m in one sub-step of "
                                      f"{h:g} s, more than a third of the largest diameter {largest:g} m: contacts would be "
                                      f"missed. Use a step below {0.2 * largest / speed:g} s: more steps_per_contact, or a "
@@ -119,28 +119,37 @@ class ContactLists:
     def _collect(self, step, layout):
         """Springs of the live contacts of the present lists."""
         none = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, self.width)))
-        if self.springs is None or layout != self.particles.layout:
+        if self.springs is None:
             return [none] * 3
-        n, out = len(self.particles), []
-        empty = np.zeros(0, np.int32)
+        n, out, empty = self.ghosts.owned, [], np.zeros(0, np.int32)
         for k, (first, partner) in enumerate(self._partners()):
             out.append(neighbours.collect_springs(first, partner, self.springs[k], self.stamps[k] == step, k == 0,
                                                   self.second if k == 0 else empty, n, self.ids))
-        return out
+        return out if layout == self.particles.layout else [self._renumber(*kept) for kept in out]
+
+    def _renumber(self, particle, partner, spring):
+        """Rows of the particles as they are now, after some were inserted or removed."""
+        ids, old = self.particles.id, self.ids[:self.ghosts.owned]
+        order = np.argsort(ids)
+        place = np.searchsorted(ids, old, sorter=order)
+        row = order[np.minimum(place, len(order) - 1)] if len(order) else np.zeros(len(old), np.int64)
+        here = ids[row] == old if len(order) else np.zeros(len(old), bool)
+        keep = here[particle]
+        return row[particle[keep]], partner[keep], spring[keep]
 
     def _partners(self):
         """First particle and the partner's lasting number, of each list."""
         return ((self.first, self.ids[self.second]), (self.wall_particle, self.wall_facet.astype(np.int64)),
                 (self.shape_particle, self.shape_wall.astype(np.int64)))
 
-    def _move_springs(self, kept, destination):
+    def _move_springs(self, kept, destination, ids_before):
         """Send the springs of particles that changed rank after them."""
         comm, leaving, out = self.particles.comm, destination != self.particles.comm.rank, []
         place = np.cumsum(~leaving) - 1
         arrived = {int(g): k for k, g in enumerate(self.particles.id)}
         for particle, partner, spring in kept:
             go = leaving[particle]
-            who = self.ids[particle[go]] if len(particle) else particle
+            who = ids_before[particle[go]]
             ids, other, stretch = move(comm, destination[particle[go]], [who, partner[go], spring[go]])
             index = np.array([arrived[int(g)] for g in ids], np.int64)
             out.append((np.concatenate([place[particle[~go]], index]), np.concatenate([partner[~go], other]),

@@ -4,6 +4,7 @@ import numpy as np
 from fe_el import mesh as _mesh
 from fe_el.exchange import move
 from fe_el.particles import insertion, location
+from fe_el.particles.open_boundaries import OpenBoundaries
 
 FIELDS = {"position": (3,), "velocity": (3,), "angular_velocity": (3,), "diameter": (), "density": (), "force": (3,),
           "contact_force": (3,), "contact_torque": (3,), "mean_contact_force": (3,), "coarse_graining": ()}
@@ -40,8 +41,8 @@ class Particles:
         self.mesh, self.comm, self.default_density = mesh, mesh.comm, float(density)
         self.gravity = np.zeros(3)
         self.gravity[:len(gravity)] = gravity
-        self.thickness, self.halo_width, self.step, self.left = thickness, -1.0, 0, 0
-        self.outlet_planes = []
+        self.thickness, self.halo_width, self.step = thickness, -1.0, 0
+        self.left, self.left_mass, self._open = 0, 0.0, None
         for name, shape in FIELDS.items():
             setattr(self, name, np.zeros((0, *shape)))
         self.cell, self.id, self.material = np.zeros(0, np.int32), np.zeros(0, np.int64), np.zeros(0, np.int32)
@@ -147,6 +148,17 @@ class Particles:
         diameter = np.random.default_rng(seed).permutation(np.asarray(diameter, float))
         self.insert_at(insertion.lattice_positions(lower, upper, diameter, seed), diameter, density, velocity, **kind)
 
+    def remove_at(self, facet_tags, groups):
+        """Let particles leave through boundary groups: they are removed, and counted in ``left`` and ``left_mass`` [kg].
+
+        Raises:
+            ValueError: if a group has no facet.
+
+        Note:
+            Collective.
+        """
+        self._open = OpenBoundaries(self.mesh, facet_tags, groups)
+
     # -- order and ranks -------------------------------------------------------------------------------------------
 
     def arrays(self):
@@ -165,7 +177,7 @@ class Particles:
         """Find the cell of every particle and move particles to the ranks of their cells.
 
         Returns:
-            ndarray: rank every particle (in the old order) is on now, or ``None`` if all stayed.
+            ndarray: rank every particle (in the old order) is on now, -1 if it left the mesh; ``None`` if all stayed.
 
         Raises:
             LostParticle: if a particle is in no cell of any rank.
@@ -174,10 +186,11 @@ class Particles:
             Collective.
         """
         self._wrap(self.position)
+        self._gone = np.zeros(0, np.int64)
         missing = location.locate(self.cells, self.cell, self.position)
         if self.comm.allreduce(missing):
             self._search_everywhere()
-        if self.comm.size == 1:
+        if self.comm.size == 1 and not len(self._gone):
             return None
         return self._migrate()
 
@@ -192,6 +205,11 @@ class Particles:
         else:
             self.cell[lost] = where
         bad = lost[where < 0]
+        if self._open is not None and len(bad):
+            out = self._open.left_through(self.position[bad])
+            self._gone, bad = bad[out], bad[~out]
+        gone = self.comm.allreduce(np.array([len(self._gone), self.mass[self._gone].sum()]))
+        self.left, self.left_mass = self.left + int(gone[0]), self.left_mass + gone[1]
         message = None
         if len(bad):
             i = bad[0]
@@ -210,6 +228,7 @@ class Particles:
         for i, (rank, cell) in getattr(self, "_claims", {}).items():
             destination[i], target[i] = rank, cell
         self._claims = {}
+        destination[self._gone] = -1
         leaving = destination != self.comm.rank
         self.cell = np.where(leaving | (self.cell < 0), target, self.cell).astype(np.int32)
         assert (self.cell[~leaving] < owned).all()
@@ -234,17 +253,13 @@ class Particles:
     def located(self):
         """Cell and position (wrapped into a periodic box) of every particle now, without changing the particles.
 
-        Raises:
-            LostParticle: if a particle is in no cell of any rank.
-
-        Note:
-            Collective.
+        A particle that is on its way out of the mesh keeps its last cell, until the next :meth:`locate` removes it or says
+        that it is lost.
         """
         cell, position = self.cell.copy(), self.position.copy()
         self._wrap(position)
-        if self.comm.allreduce(location.locate(self.cells, cell, position)):
-            self.locate()
-            cell, position = self.cell.copy(), self.position.copy()
+        if location.locate(self.cells, cell, position):
+            cell = np.where(cell < 0, self.cell, cell)
         return cell, position
 
     # -- motion ----------------------------------------------------------------------------------------------------

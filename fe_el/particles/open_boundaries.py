@@ -1,0 +1,134 @@
+"""Boundaries that particles may leave through, and boundaries that let particles in at a mass rate."""
+import numpy as np
+from scipy.spatial import cKDTree
+
+from fe_el import mesh as _mesh
+from fe_el.particles import insertion
+from fe_el.particles.walls import nearest_point
+
+
+class OpenBoundaries:
+    """Tells whether a particle outside the mesh left through one of the named boundary groups.
+
+    Note:
+        Collective.
+    """
+
+    def __init__(self, mesh, facet_tags, groups):
+        groups = _mesh.require_groups(mesh, facet_tags, groups)
+        self.corner, is_open = _mesh.exterior_facets(mesh, facet_tags, groups)
+        self.open = is_open
+        self.tree = cKDTree(self.corner.mean(1))
+
+    def left_through(self, position):
+        """(points,) whether the nearest boundary facet of each position outside the mesh is open."""
+        near = self.tree.query(position, k=min(24, len(self.corner)))[1].reshape(len(position), -1)
+        out = np.zeros(len(position), bool)
+        for i, facets in enumerate(near):
+            distance = [np.sum((np.array(nearest_point(self.corner[f], *position[i])[:3]) - position[i]) ** 2) for f in facets]
+            out[i] = self.open[facets[int(np.argmin(distance))]]
+        return out
+
+
+class Inlet:
+    """Lets particles in through tagged boundary facets at a mass rate, at random places, never onto other particles.
+
+    What finds no free place waits for the next call; ``waiting`` counts its mass.
+
+    Args:
+        particles (Particles): the particles.
+        facet_tags, group: boundary facets.
+        mass_rate (float): [kg/s].
+        diameter: one number, an array to draw from, or a function ``(generator, count) -> diameters`` [m].
+        velocity: of what comes in [m/s].
+        density, material, coarse_graining: as in ``Particles.insert_at``.
+        seed (int): of the places and sizes.
+
+    Attributes:
+        inserted (int), waiting (float): particles let in so far, and the mass that still waits [kg].
+
+    Raises:
+        ValueError: for a rate or diameter that is not positive, or a group without facets.
+
+    Note:
+        Collective.
+    """
+
+    def __init__(self, particles, facet_tags, group, mass_rate, diameter, velocity, density=None, seed=0, tries=100, **kind):
+        insertion.require_positive("mass rate", mass_rate)
+        if not callable(diameter):
+            insertion.require_positive("diameter", diameter)
+        self.particles, self.mass_rate, self.diameter, self.tries, self.kind = particles, float(mass_rate), diameter, tries, kind
+        self.density = particles.default_density if density is None else float(density)
+        self.velocity = np.zeros(3)
+        self.velocity[:len(velocity)] = velocity
+        self.corner = _mesh.boundary_facets(particles.mesh, facet_tags, group)[0]
+        edges = self.corner[:, 1:] - self.corner[:, :1]
+        d = self.corner.shape[1]
+        normal = np.cross(edges[:, 0], edges[:, 1] if d == 3 else np.array([0.0, 0.0, 1.0]))
+        self.area = np.linalg.norm(normal, axis=1)
+        self.normal = normal / self.area[:, None]
+        self._inwards()
+        self.generator = np.random.default_rng(seed)
+        self.inserted, self.waiting, self.next = 0, 0.0, None
+
+    def _inwards(self):
+        """Turn the normals into the mesh."""
+        size = np.sqrt(self.area.mean()) * 1e-3
+        inside = self.particles.search(self.corner.mean(1) + size * self.normal) >= 0
+        inside = np.any(self.particles.comm.allgather(inside), axis=0)
+        self.normal[~inside] *= -1
+
+    def _draw_diameter(self):
+        if callable(self.diameter):
+            d = float(np.ravel(self.diameter(self.generator, 1))[0])
+            insertion.require_positive("diameter", d)
+            return d
+        choices = np.ravel(self.diameter)
+        return float(choices[self.generator.integers(len(choices))])
+
+    def advance(self, dt):
+        """Let in the mass of ``dt`` [s]; returns the number of new particles."""
+        self.waiting += self.mass_rate * dt
+        near, radii = self._particles_near()
+        new, sizes = [], []
+        while True:
+            self.next = self.next or self._draw_diameter()
+            mass = self.density * np.pi / 6 * self.next ** 3
+            place = self._free_place(near, radii, self.next / 2, dt) if mass <= self.waiting else None
+            if place is None:
+                break
+            new.append(place)
+            sizes.append(self.next)
+            near, radii = np.vstack([near, place]), np.append(radii, self.next / 2)
+            self.waiting -= mass
+            self.next = None
+        if new:
+            self.particles.insert_at(np.array(new), np.array(sizes), self.density, self.velocity, **self.kind)
+            self.inserted += len(new)
+        return len(new)
+
+    def _particles_near(self):
+        """Positions and radii of all particles near the inlet, on every rank."""
+        p = self.particles
+        largest = p.comm.allreduce(p.diameter.max() if len(p) else 0.0, op=_mesh.MPI.MAX)
+        reach = 2 * max(largest, self.next or 0.0, np.max(self.diameter) if not callable(self.diameter) else largest) \
+            + np.ptp(self.corner, (0, 1)).max() * 1e-9
+        lower, upper = self.corner.min((0, 1)) - 2 * reach, self.corner.max((0, 1)) + 2 * reach
+        inside = ((p.position >= lower) & (p.position <= upper)).all(1)
+        parts = p.comm.allgather((p.position[inside], p.diameter[inside] / 2))
+        return np.concatenate([x for x, _ in parts]), np.concatenate([r for _, r in parts])
+
+    def _free_place(self, near, radii, radius, dt):
+        """A random centre one radius inside the facets that touches nothing, or None after some tries."""
+        rng, d = self.generator, self.corner.shape[1]
+        for _ in range(self.tries):
+            f = rng.choice(len(self.area), p=self.area / self.area.sum())
+            weight = rng.dirichlet(np.ones(d))
+            depth = radius * (1 + 1e-9) + rng.random() * max(self.velocity @ self.normal[f], 0.0) * dt
+            x = weight @ self.corner[f] + depth * self.normal[f]
+            if len(near) and (((near - x) ** 2).sum(1) < (radii + radius) ** 2).any():
+                continue
+            if self.particles.comm.allreduce(int((self.particles.search(x[None]) >= 0).any())):
+                return x
+        return None
