@@ -1,4 +1,5 @@
 """Contact laws: their parameters per pair of materials, and what follows from them."""
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -76,7 +77,7 @@ class _Law:
             self.rolls = 2 if rolling.elastic_plastic else 1
         self.table[:, :, 6] = pair_table("cohesion energy density", cohesion, materials)
 
-    @property
+    @functools.cached_property
     def numbers(self):
         """What the kernels need."""
         cohesive = bool(self.table[:, :, 6].any())

@@ -35,13 +35,13 @@ class ContactLists:
         self.shape = np.array([getattr(w, "shape", np.zeros(4)) for w in walls] or [np.zeros(4)])
         self.motion = np.array([w.motion() for w in walls] or [np.zeros(9)])
         self.wall_material = np.array([w.material for w in walls] or [0], np.int64)
-        self.springs = None
+        self.springs, self.has_shapes = None, bool((self.kind != FACETS).any())
 
     def wall_speed(self):
         """Largest speed of a wall that moves [m/s]."""
-        moving = self.motion[self.kind != FACETS]
-        if not len(moving):
+        if not self.has_shapes:
             return 0.0
+        moving = self.motion[self.kind != FACETS]
         size = np.ptp(self.particles.position, 0).max(initial=0.0) if len(self.particles) else 0.0
         return float((np.linalg.norm(moving[:, 3:6], axis=1) + np.linalg.norm(moving[:, 6:], axis=1) * size).max())
 
@@ -83,9 +83,9 @@ class ContactLists:
         if self._skin is None:
             if self.skin is None:
                 self.skin = 0.1 * mean
-            elif self.age < 15:
+            elif self.age < 30:
                 self.skin *= 1.25
-            elif self.age > 80:
+            elif self.age > 120:
                 self.skin *= 0.9
             self.skin = min(max(self.skin, 0.04 * mean), 0.4 * mean)
             self.skin = max(self.skin, 6 * h * speed)
@@ -167,7 +167,7 @@ class ContactLists:
         if self.facets is not None:
             self.wall_particle, self.wall_facet = _walls.wall_list(x, self.radius, p.cell, self.skin, *self._candidates,
                                                                    self.facets[0], self.balls)
-        if (self.kind != FACETS).any():
+        if self.has_shapes:
             self.shape_particle, self.shape_wall = shape_list(x, self.radius, n, self.skin, self.kind, self.shape, self.motion)
         self.springs, self.stamps = [], []
         for (first, partner), old in zip(self._partners(), kept):

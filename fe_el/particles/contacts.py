@@ -1,4 +1,5 @@
 """Contacts between particles and with walls, in sub-steps of a fraction of the contact time."""
+import math
 import time
 
 import numpy as np
@@ -10,7 +11,7 @@ from fe_el.particles.insertion import require_positive
 from fe_el.particles.law_kernels import new_block
 from fe_el.particles.pair_forces import pair_forces
 from fe_el.particles.particles import LostParticle
-from fe_el.particles.wall_shapes import FACETS, FacetWalls, move_walls, shape_forces
+from fe_el.particles.wall_shapes import FacetWalls, move_walls, shape_forces
 from fe_el.particles.walls import facet_forces
 
 
@@ -137,12 +138,13 @@ class Contacts:
                 for a in (v, w):
                     lists.ghosts.forward(a)
                 force[n:] = torque[n:] = 0.0
-            move_walls(lists.kind, lists.shape, lists.motion, h)
+            if lists.has_shapes:
+                move_walls(lists.kind, lists.shape, lists.motion, h)
             self._forces(x, v, w, force, torque, h)
             lists.age += 1
             if p.comm.size > 1:
                 moved = p.comm.allreduce(moved, op=MPI.MAX)
-            if not np.sqrt(moved) + wall_speed * h * lists.age <= 0.5 * lists.skin:
+            if not math.sqrt(moved) + wall_speed * h * lists.age <= 0.5 * lists.skin:
                 break
         motion.kick(v, w, force, torque, lists.inverse_mass, inverse_inertia, 0.5 * h, n)
         p.position, p.velocity, p.angular_velocity = x[:n].copy(), v[:n].copy(), w[:n].copy()
@@ -171,14 +173,16 @@ class Contacts:
         self.largest_overlap = max(self.largest_overlap, overlap)
         if not self.walls:
             return
-        common = (lists.motion, lists.wall_material, self.wall_impulse, self.block, self.wall_law.numbers, h)
+        deepest = np.zeros(1)
+        common = (lists.motion, lists.wall_material, self.wall_impulse, deepest, self.block, self.wall_law.numbers, h)
         state = (x, v, w, force, torque, lists.radius, lists.inverse_mass, material)
         if lists.facets is not None:
             self._count(facet_forces(*state, lists.wall_particle, lists.wall_facet, lists.springs[1], lists.stamps[1], self.step,
                                      lists.facets[0], lists.facets[1], lists.facet_wall, *common))
-        if (lists.kind != FACETS).any():
+        if lists.has_shapes:
             self._count(shape_forces(*state, lists.shape_particle, lists.shape_wall, lists.springs[2], lists.stamps[2],
                                      self.step, lists.kind, lists.shape, *common))
+        self.largest_overlap = max(self.largest_overlap, deepest[0])
 
     def _count(self, contacts):
         if contacts < 0:

@@ -33,12 +33,14 @@ def _search(x, radius, level, owned, skin, lower, size, shape, offset, first, se
         for g in range(level[i], grids):
             for k in range(3):
                 at[k] = min(max(int((x[i, k] - lower[k]) / size[g]), 0), shape[g, k] - 1)
-            for a in range(max(at[0] - 1, 0), min(at[0] + 2, shape[g, 0])):
-                for b in range(max(at[1] - 1, 0), min(at[1] + 2, shape[g, 1])):
-                    for c in range(max(at[2] - 1, 0), min(at[2] + 2, shape[g, 2])):
-                        j = head[offset[g] + (a * shape[g, 1] + b) * shape[g, 2] + c]
+            same = g == level[i]  # within a class half of the boxes around will do
+            for a in range(at[0] if same else max(at[0] - 1, 0), min(at[0] + 2, shape[g, 0])):
+                for b in range(at[1] if same and a == at[0] else max(at[1] - 1, 0), min(at[1] + 2, shape[g, 1])):
+                    half = same and a == at[0] and b == at[1]
+                    for c in range(at[2] if half else max(at[2] - 1, 0), min(at[2] + 2, shape[g, 2])):
+                        j, own = head[offset[g] + (a * shape[g, 1] + b) * shape[g, 2] + c], half and c == at[2]
                         while j >= 0:
-                            if (g > level[i] or j > i) and (i < owned or j < owned):
+                            if (j > i or not own) and (i < owned or j < owned):
                                 dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
                                 reach = radius[i] + radius[j] + skin
                                 if dx * dx + dy * dy + dz * dz < reach * reach:

@@ -22,8 +22,8 @@ def gather(b, m, at, first, second, v, w, radius, inverse_mass, material, spring
         b[n + 10 * B] = ri * w[i, 2] + rj * w[j, 2]
         b[n + 11 * B], b[n + 12 * B], b[n + 13 * B] = keep * spring[k, 0], keep * spring[k, 1], keep * spring[k, 2]
         b[n + 14 * B] = inverse_mass[i] + inverse_mass[j]
-        part = (ri + rj) * (ri + rj) - b[n + 3 * B]  # about 2 (ri + rj) overlap
-        deepest = max(deepest, part / ((ri + rj) * min(ri, rj)))
+        part = 1.0 - b[n + 3 * B] / ((ri + rj) * (ri + rj))  # overlap / (ri + rj) = 1 - sqrt(1 - part), without the root
+        deepest = max(deepest, part * (0.5 + part * (0.125 + 0.0625 * part)) * (ri + rj) / min(ri, rj))
         if needs_radius:
             b[n + 20 * B] = ri * rj / (ri + rj)
         if rolls:
@@ -34,7 +34,7 @@ def gather(b, m, at, first, second, v, w, radius, inverse_mass, material, spring
             for q in range(5):
                 b[n + (15 + q) * B] = table[material[i], material[j], q]
             b[n + 27 * B], b[n + 28 * B] = table[material[i], material[j], 5], table[material[i], material[j], 6]
-    return 0.5 * deepest
+    return deepest
 
 
 @njit(cache=True, fastmath=FAST)

@@ -115,7 +115,7 @@ def shape_list(x, radius, owned, skin, kind, shape, motion):
 
 @njit(cache=True, fastmath=FAST)
 def shape_forces(x, v, w, force, torque, radius, inverse_mass, material, particle, wall, spring, stamp, step, kind, shape,
-                 motion, wall_material, wall_force, b, numbers, h):
+                 motion, wall_material, wall_force, deepest, b, numbers, h):
     """Add the contact forces of planes and cylinders; returns the number of contacts, or -1 - i where i is behind one."""
     touching, m, bad = 0, 0, 0
     who, at, wall_of = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
@@ -133,10 +133,10 @@ def shape_forces(x, v, w, force, torque, radius, inverse_mass, material, particl
             m += 1
         if m == BLOCK:
             finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, torque, radius, spring,
-                         wall_force)
+                         wall_force, deepest)
             touching, m = touching + m, 0
     finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, torque, radius, spring,
-                 wall_force)
+                 wall_force, deepest)
     return bad if bad < 0 else touching + m
 
 

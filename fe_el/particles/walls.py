@@ -141,7 +141,7 @@ def gather_wall(b, m, i, px, py, pz, motion, x, v, w, radius, inverse_mass, spri
 
 @njit(cache=True, fastmath=FAST)
 def finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, torque, radius, spring,
-                 wall_force):
+                 wall_force, deepest):
     """Apply the law to a block of wall contacts and give particles and walls their forces."""
     if not uniform:
         for n in range(m):
@@ -149,6 +149,7 @@ def finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_mat
     apply_law(b, m, h, numbers)
     for n in range(m):
         i, k = who[n], at[n]
+        deepest[0] = max(deepest[0], 0.5 * b[n + 4 * B] / radius[i])
         for q in range(3):
             spring[k, q] = b[n + (11 + q) * B]
             force[i, q] += b[n + (5 + q) * B]
@@ -162,7 +163,7 @@ def finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_mat
 
 @njit(cache=True, fastmath=FAST)
 def facet_forces(x, v, w, force, torque, radius, inverse_mass, material, particle, facet, spring, stamp, step, corner, vertex,
-                 facet_wall, motion, wall_material, wall_force, b, numbers, h):
+                 facet_wall, motion, wall_material, wall_force, deepest, b, numbers, h):
     """Add the contact forces of wall facets; returns the number of contacts, or -1 - i where the centre of i is on a wall."""
     touching, sides, m, k, total, bad = 0, corner.shape[1], 0, 0, len(particle), 0
     point, weight, slot = np.empty((MOST, 3)), np.empty((MOST, 3)), np.empty(MOST, np.int64)
@@ -201,10 +202,10 @@ def facet_forces(x, v, w, force, torque, radius, inverse_mass, material, particl
                 m += 1
         if m >= B - MOST:
             finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, torque, radius, spring,
-                         wall_force)
+                         wall_force, deepest)
             touching, m = touching + m, 0
     finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, torque, radius, spring,
-                 wall_force)
+                 wall_force, deepest)
     return bad if bad < 0 else touching + m
 
 
