@@ -42,7 +42,9 @@ def array_forces(law, x, v, w, force, torque, radius, inverse_mass, first, secon
     un = (u * normal).sum(1)
     old = np.where((stamp[at] == step - 1)[:, None], spring[at, :3], 0.0)
     old -= (old * normal).sum(1)[:, None] * normal
-    fn, ft, new = law.function(reach - r, un, u - un[:, None] * normal, old, 1 / (inverse_mass[i] + inverse_mass[j]),
+    before = np.where(stamp[at] == step - 1, spring[at, 3], un)
+    spring[at, 3] = un
+    fn, ft, new = law.function(reach - r, 1.5 * un - 0.5 * before, u - un[:, None] * normal, old, 1 / (inverse_mass[i] + inverse_mass[j]),
                                radius[i] * radius[j] / reach, h)
     spring[at, :3], stamp[at] = new, step
     scatter_arrays(i, j, np.ascontiguousarray(np.asarray(fn)[:, None] * normal + ft), *arms, normal, force, torque)

@@ -64,8 +64,6 @@ class _Law:
             raise ValueError(f"The restitution is {e.tolist()}; it must be greater than 0 and at most 1.")
         require_not_negative("friction", friction)
         require_not_negative("cohesion energy density", cohesion)
-        if rolling is not None and not isinstance(rolling, RollingFriction):
-            raise ValueError(f"rolling is {rolling!r}; pass RollingFriction(coefficient), or leave it out.")
         self.materials = materials
         self.table = np.zeros((materials, materials, 7))
         log = np.abs(np.log(pair_table("restitution", e, materials)))
@@ -82,6 +80,13 @@ class _Law:
         """What the kernels need."""
         cohesive = bool(self.table[:, :, 6].any())
         return LawNumbers(self.kind, self.rolls, cohesive, bool(self.kind == 1 or cohesive or self.rolls), self.table)
+
+
+def rolling_coefficient(rolling):
+    """Its coefficient, zero without; raises ``ValueError`` for anything but a :class:`RollingFriction`."""
+    if rolling is not None and not isinstance(rolling, RollingFriction):
+        raise ValueError(f"rolling is {rolling!r}; pass RollingFriction(coefficient), or leave it out.")
+    return 0.0 if rolling is None else rolling.coefficient
 
 
 def materials_of(*values):
@@ -118,7 +123,7 @@ class LinearSpringDashpot(_Law):
             raise ValueError(f"The tangential stiffness ratio is {kt.tolist()}; it must be in (0, 1].")
         if not ((et >= 0).all() and (et <= 1).all()):
             raise ValueError(f"The tangential damping ratio is {et.tolist()}; it must be in [0, 1].")
-        n = materials_of(stiffness, restitution, friction, kt, et, rolling.coefficient if rolling else 0.0, cohesion)
+        n = materials_of(stiffness, restitution, friction, kt, et, rolling_coefficient(rolling), cohesion)
         self._common(restitution, friction, rolling, cohesion, n)
         self.table[:, :, 0] = pair_table("stiffness", stiffness, n)
         self.table[:, :, 1] = self.damping
@@ -153,7 +158,7 @@ class HertzMindlin(_Law):
         nu = np.asarray(poisson_ratio, float)
         if not ((nu > -1).all() and (nu <= 0.5).all()):
             raise ValueError(f"The Poisson ratio is {nu.tolist()}; it must be in (-1, 0.5].")
-        n = materials_of(youngs_modulus, nu, restitution, friction, rolling.coefficient if rolling else 0.0, cohesion)
+        n = materials_of(youngs_modulus, nu, restitution, friction, rolling_coefficient(rolling), cohesion)
         try:
             e, nu = np.broadcast_to(np.asarray(youngs_modulus, float), n), np.broadcast_to(nu, n)
         except ValueError:

@@ -18,7 +18,7 @@ class ContactLists:
         particles (Particles): the particles.
         walls: list of walls.
         skin (float): reach beyond contact [m]; absent: adapted so that a list lasts some tens of sub-steps.
-        width (int): numbers kept per contact: 3, or 6 with rolling friction.
+        width (int): numbers kept per contact: tangential spring and normal velocity, and the rolling spring if any.
     """
 
     def __init__(self, particles, walls, skin, width):

@@ -61,7 +61,7 @@ class Contacts:
 
     def _spring_width(self):
         rolls = max(getattr(law, "rolls", 0) for law in (self.law, self.wall_law))
-        return 6 if rolls else 3
+        return 7 if rolls else 4
 
     def _check_materials(self):
         for what, indices, law in (("particle", self.particles.material, self.law), *(
@@ -146,6 +146,7 @@ class Contacts:
                 moved = p.comm.allreduce(moved, op=MPI.MAX)
             if not math.sqrt(moved) + wall_speed * h * lists.age <= 0.5 * lists.skin:
                 break
+        self._check_finite(x[:n], force[:n])
         motion.kick(v, w, force, torque, lists.inverse_mass, inverse_inertia, 0.5 * h, n)
         p.position, p.velocity, p.angular_velocity = x[:n].copy(), v[:n].copy(), w[:n].copy()
         p.contact_force, p.contact_torque = force[:n] - external, torque[:n].copy()
@@ -157,7 +158,21 @@ class Contacts:
         x, v, w = self.lists.pack()
         force, torque = np.zeros_like(x), np.zeros_like(x)
         self._forces(x, v, w, force, torque, 0.0)
+        self._check_finite(x[:n], force[:n])
         p.contact_force, p.contact_torque = force[:n].copy(), torque[:n].copy()
+
+    def _check_finite(self, x, force):
+        """Stop before a position or force that is not a number spreads."""
+        bad = np.flatnonzero(~np.isfinite(x + force).all(1))
+        p, message = self.particles, None
+        if len(bad):
+            i = bad[0]
+            message = (f"The contact force on particle {p.id[i]} near {p.position[i].tolist()} is {force[i].tolist()} (step "
+                       f"{p.step}, rank {p.comm.rank}). Either two particles lie on one point, or the step is too large for the "
+                       "law: insert without overlap, or use more steps_per_contact.")
+        messages = [m for m in p.comm.allgather(message) if m] if p.comm.size > 1 else [message] * (message is not None)
+        if messages:
+            raise FloatingPointError(messages[0])
 
     def _forces(self, x, v, w, force, torque, h):
         """Pair and wall forces at one instant, added to ``force`` and ``torque``."""

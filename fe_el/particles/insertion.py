@@ -47,7 +47,7 @@ def claim(particles, x):
     return np.where(first == particles.comm.rank, cell, -1).astype(np.int32)
 
 
-def random_positions(lower, upper, count, diameter, seed, without_overlap):
+def random_positions(lower, upper, count, diameter, seed, without_overlap, period=None):
     """Uniform random positions (count, 3) in a box, at random or by sequential insertion without overlap."""
     lower, upper = np.asarray(lower, float), np.asarray(upper, float)
     if count < 1:
@@ -62,7 +62,7 @@ def random_positions(lower, upper, count, diameter, seed, without_overlap):
     lo, hi = np.zeros(3), np.zeros(3)
     lo[:len(lower)], hi[:len(upper)] = lower, upper
     order = np.argsort(-radius, kind="stable")
-    x, placed = _sequential(lo, hi, radius[order], seed)
+    x, placed = _sequential(lo, hi, radius[order], seed, np.zeros(3) if period is None else period)
     if placed < count:
         raise ValueError(f"Only {placed} of {count} particles fit without overlap in the box from {lower.tolist()} to "
                          f"{upper.tolist()}; use a larger box, fewer particles, or insert_on_lattice.")
@@ -72,13 +72,13 @@ def random_positions(lower, upper, count, diameter, seed, without_overlap):
 
 
 @njit(cache=True)
-def _sequential(lower, upper, radius, seed):
-    """Random sequential insertion, largest first, with bins of one largest diameter."""
+def _sequential(lower, upper, radius, seed, period):
+    """Random sequential insertion, largest first, with bins of one largest diameter; periodic images count."""
     np.random.seed(seed)
-    n, size = len(radius), 2 * radius[0]
-    shape = np.ones(3, np.int64)
+    n, shape, size = len(radius), np.ones(3, np.int64), np.empty(3)
     for k in range(3):
-        shape[k] = max(1, int((upper[k] - lower[k]) / size) + 1)
+        shape[k] = max(1, int((upper[k] - lower[k]) / (2 * radius[0])))
+        size[k] = max((upper[k] - lower[k]) / shape[k], 1e-300)
     head, following = np.full(shape.prod(), -1, np.int64), np.full(n, -1, np.int64)
     x, at, trial = np.zeros((n, 3)), np.zeros(3, np.int64), np.zeros(3)
     for i in range(n):
@@ -86,15 +86,24 @@ def _sequential(lower, upper, radius, seed):
         for _ in range(20000):
             for k in range(3):
                 trial[k] = lower[k] + np.random.random() * (upper[k] - lower[k])
-                at[k] = min(int((trial[k] - lower[k]) / size), shape[k] - 1)
+                at[k] = min(int((trial[k] - lower[k]) / size[k]), shape[k] - 1)
             free = True
-            for a in range(max(at[0] - 1, 0), min(at[0] + 2, shape[0])):
-                for b in range(max(at[1] - 1, 0), min(at[1] + 2, shape[1])):
-                    for c in range(max(at[2] - 1, 0), min(at[2] + 2, shape[2])):
-                        j = head[(a * shape[1] + b) * shape[2] + c]
+            for a in range(at[0] - 1, at[0] + 2):
+                for b in range(at[1] - 1, at[1] + 2):
+                    for c in range(at[2] - 1, at[2] + 2):
+                        box, outside = 0, False
+                        for k, q in enumerate((a, b, c)):
+                            outside |= (q < 0 or q >= shape[k]) and not period[k] > 0
+                            box = box * shape[k] + q % shape[k]
+                        j = -1 if outside else head[box]
                         while j >= 0 and free:
-                            gap = radius[i] + radius[j]
-                            free = ((trial - x[j]) ** 2).sum() > gap * gap
+                            distance = 0.0
+                            for k in range(3):
+                                gap = trial[k] - x[j, k]
+                                if period[k] > 0:
+                                    gap -= np.round(gap / period[k]) * period[k]
+                                distance += gap * gap
+                            free = distance > (radius[i] + radius[j]) ** 2
                             j = following[j]
             if free:
                 done = True

@@ -11,9 +11,11 @@ and primitive walls fill the same rows, so there is one kernel per law. The rows
     18    k_t / k_n, or G* / E*                              19    tangential over normal damping
     20    reduced radius R*                                  21-23 w1 - w2
     24-26 rolling spring                                     27    rolling friction          28 cohesion energy density
+    32    normal velocity half a step before that of row 9   33    1/2, or 0 at first touch
 
-Rows 29-31 pass stiffness and damping between the loops. On return 5-7 hold the force on the first body, 8-10 that force times the arm fraction, crossed with the normal (torque per
-radius), 11-13 and 24-26 the new springs, 21-23 the rolling torque on the first body.
+Rows 29-31 pass stiffness and damping between the loops. Velocities are those of the half step before the forces; damping
+sees the normal velocity carried on to the full step, the tangential spring what really was slipped. On return 5-7 hold the force on the first body, 8-10 that force times the arm fraction, crossed with the normal (torque per
+radius), 11-13 and 24-26 the new springs, 21-23 the rolling torque on the first body, 32 the normal velocity for the next step.
 """
 import math
 
@@ -21,7 +23,7 @@ import numpy as np
 from numba import njit
 
 BLOCK = 256
-ROWS = 32
+ROWS = 34
 FAST = {"contract", "reassoc", "nsz", "arcp"}  # no finite-math assumption: NaN must stay visible
 B = BLOCK
 
@@ -56,30 +58,32 @@ def geometry(b, m):
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def linear(b, m, h):
-    """Linear spring-dashpot: F_n = k overlap - eta v_n; the pair's own force carries the lagging velocity half a step on.
+def linear(b, m):
+    """Linear spring-dashpot: F_n = k overlap - eta v_n.
 
     Sets rows 10 (F_n), 29 (tangential stiffness), 30 (tangential damping) and 31 (normal stiffness).
     """
     for n in range(m):
         k = b[n + 15 * B]
-        rate = math.sqrt(k * b[n + 14 * B])
-        eta = b[n + 16 * B] * k / rate
-        b[n + 10 * B] = (k * b[n + 4 * B] - eta * b[n + 9 * B]) / (1.0 + 0.5 * h * b[n + 16 * B] * rate)
+        eta = b[n + 16 * B] * math.sqrt(k / b[n + 14 * B])
+        b[n + 10 * B] = k * b[n + 4 * B] - eta * (b[n + 9 * B] + b[n + 33 * B] * (b[n + 9 * B] - b[n + 32 * B]))
+        b[n + 32 * B] = b[n + 9 * B]
         b[n + 29 * B] = b[n + 18 * B] * k
         b[n + 30 * B] = b[n + 19 * B] * eta
         b[n + 31 * B] = k
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def hertz(b, m, h):
+def hertz(b, m):
     """Hertz-Mindlin: F_n = 4/3 E* sqrt(R* d) d, k_t = 8 G* sqrt(R* d), damping of constant restitution (Tsuji et al. 1992)."""
     for n in range(m):
         overlap, inverse_mass, damping = b[n + 4 * B], b[n + 14 * B], b[n + 16 * B]
         k = 2.0 * b[n + 15 * B] * math.sqrt(b[n + 20 * B] * overlap)
-        rate, kt = math.sqrt(k * inverse_mass), 4.0 * b[n + 18 * B] * k
+        kt = 4.0 * b[n + 18 * B] * k
         eta = damping * math.sqrt(k / inverse_mass)
-        b[n + 10 * B] = (2.0 / 3.0 * k * overlap - eta * b[n + 9 * B]) / (1.0 + 0.5 * h * damping * rate)
+        un = b[n + 9 * B] + b[n + 33 * B] * (b[n + 9 * B] - b[n + 32 * B])
+        b[n + 10 * B] = 2.0 / 3.0 * k * overlap - eta * un
+        b[n + 32 * B] = b[n + 9 * B]
         b[n + 29 * B] = kt
         b[n + 30 * B] = b[n + 19 * B] * damping * math.sqrt(kt / inverse_mass)
         b[n + 31 * B] = k
@@ -162,9 +166,9 @@ def apply_law(b, m, h, numbers):
     """The built-in law of a block, with cohesion and rolling friction where they are present."""
     geometry(b, m)
     if numbers.kind == 0:
-        linear(b, m, h)
+        linear(b, m)
     else:
-        hertz(b, m, h)
+        hertz(b, m)
     tangential(b, m, h)
     if numbers.cohesive:
         cohesion(b, m)

@@ -107,6 +107,7 @@ def collect_springs(first, partner_id, spring, live, mirror, second, owned, ids)
             n += 1
             if mirror and second[k] < owned:
                 particle[n], partner[n], stretch[n] = second[k], ids[first[k]], -spring[k]
+                stretch[n, 3] = spring[k, 3]  # the normal velocity is the same from both sides
                 n += 1
     return particle, partner, stretch
 

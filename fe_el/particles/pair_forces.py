@@ -21,6 +21,7 @@ def gather(b, m, at, first, second, v, w, radius, inverse_mass, material, spring
         b[n + 9 * B] = ri * w[i, 1] + rj * w[j, 1]
         b[n + 10 * B] = ri * w[i, 2] + rj * w[j, 2]
         b[n + 11 * B], b[n + 12 * B], b[n + 13 * B] = keep * spring[k, 0], keep * spring[k, 1], keep * spring[k, 2]
+        b[n + 32 * B], b[n + 33 * B] = spring[k, 3], 0.5 * keep
         b[n + 14 * B] = inverse_mass[i] + inverse_mass[j]
         part = 1.0 - b[n + 3 * B] / ((ri + rj) * (ri + rj))  # overlap / (ri + rj) = 1 - sqrt(1 - part), without the root
         deepest = max(deepest, part * (0.5 + part * (0.125 + 0.0625 * part)) * (ri + rj) / min(ri, rj))
@@ -29,7 +30,7 @@ def gather(b, m, at, first, second, v, w, radius, inverse_mass, material, spring
         if rolls:
             for q in range(3):
                 b[n + (21 + q) * B] = w[i, q] - w[j, q]
-                b[n + (24 + q) * B] = keep * spring[k, 3 + q]
+                b[n + (24 + q) * B] = keep * spring[k, 4 + q]
         if not uniform:
             for q in range(5):
                 b[n + (15 + q) * B] = table[material[i], material[j], q]
@@ -45,6 +46,7 @@ def scatter(b, m, at, first, second, force, torque, radius, spring, rolls):
         i, j = first[k], second[k]
         ri, rj = radius[i], radius[j]
         spring[k, 0], spring[k, 1], spring[k, 2] = b[n + 11 * B], b[n + 12 * B], b[n + 13 * B]
+        spring[k, 3] = b[n + 32 * B]
         gx, gy, gz = b[n + 5 * B], b[n + 6 * B], b[n + 7 * B]
         force[i, 0] += gx
         force[i, 1] += gy
@@ -61,7 +63,7 @@ def scatter(b, m, at, first, second, force, torque, radius, spring, rolls):
         torque[j, 2] += rj * cz
         if rolls:
             for q in range(3):
-                spring[k, 3 + q] = b[n + (24 + q) * B]
+                spring[k, 4 + q] = b[n + (24 + q) * B]
                 torque[i, q] += b[n + (21 + q) * B]
                 torque[j, q] -= b[n + (21 + q) * B]
 

@@ -133,7 +133,7 @@ class Particles:
         Note:
             Collective.
         """
-        x = insertion.random_positions(lower, upper, count, diameter, seed, without_overlap)
+        x = insertion.random_positions(lower, upper, count, diameter, seed, without_overlap, self.period)
         self.insert_at(x, diameter, density, velocity, **kind)
 
     def insert_on_lattice(self, lower, upper, diameter, density=None, velocity=0.0, seed=0, **kind):

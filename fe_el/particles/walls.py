@@ -130,13 +130,14 @@ def gather_wall(b, m, i, px, py, pz, motion, x, v, w, radius, inverse_mass, spri
     b[m + 6 * B] = v[i, 1] - motion[4] - (motion[8] * ox - motion[6] * oz)
     b[m + 7 * B] = v[i, 2] - motion[5] - (motion[6] * oy - motion[7] * ox)
     b[m + 14 * B], b[m + 20 * B] = inverse_mass[i], radius[i]
+    b[m + 32 * B], b[m + 33 * B] = spring[at, 3], 0.5 * keep
     for k in range(3):
         b[m + (8 + k) * B] = radius[i] * w[i, k]
         b[m + (11 + k) * B] = keep * spring[at, k]
     if numbers.rolls > 0:
         for k in range(3):
             b[m + (21 + k) * B] = w[i, k] - motion[6 + k]
-            b[m + (24 + k) * B] = keep * spring[at, 3 + k]
+            b[m + (24 + k) * B] = keep * spring[at, 4 + k]
 
 
 @njit(cache=True, fastmath=FAST)
@@ -155,9 +156,10 @@ def finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_mat
             force[i, q] += b[n + (5 + q) * B]
             wall_force[wall_of[n], q] -= b[n + (5 + q) * B]
             torque[i, q] += radius[i] * b[n + (8 + q) * B]
+        spring[k, 3] = b[n + 32 * B]
         if numbers.rolls > 0:
             for q in range(3):
-                spring[k, 3 + q] = b[n + (24 + q) * B]
+                spring[k, 4 + q] = b[n + (24 + q) * B]
                 torque[i, q] += b[n + (21 + q) * B]
 
 
