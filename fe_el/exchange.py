@@ -1,5 +1,13 @@
 """Exchange of array entries between ranks: each entry has one owner, other ranks hold ghosts of it."""
 import numpy as np
+from mpi4py import MPI
+
+
+def largest_of(comm, *numbers):
+    """Largest of each number over all ranks, as an array. Collective."""
+    out = np.empty(len(numbers))
+    comm.Allreduce(np.array(numbers, float), out, op=MPI.MAX)
+    return out
 
 
 class Halo:

@@ -6,21 +6,33 @@ FAST = {"contract", "reassoc", "nsz", "arcp"}
 
 
 @njit(cache=True, fastmath=FAST)
-def mass_and_misfit(dofs, weight, q, u, mass, misfit):
-    """Nodal sums of the cell masses and of mass times (q - mean u): the right-hand side of the least-squares fit."""
+def fading_rate(speed_squared, h, nu):
+    """Rate at which what a cell's neighbours do not share is carried off by convection and viscosity [1/s]."""
+    return 2.0 * np.sqrt(speed_squared) / h + 4.0 * nu / (h * h)
+
+
+@njit(cache=True, fastmath=FAST)
+def mass_and_misfit(dofs, weight, q, u, h, nu, dt, mass, misfit, part):
+    """Nodal sums of the cell masses, of mass times (q - mean u) as in a least-squares fit, and of mass times the part of the
+    misfit that is taken over in a step."""
     n, m = dofs.shape
     d = q.shape[1]
     share = 1.0 / m
     for c in range(n):
+        speed = 0.0
+        for k in range(d):
+            speed += q[c, k] * q[c, k]
+        taken = share * weight[c] * (1.0 - np.exp(-2.0 * dt * fading_rate(speed, h[c], nu)))
         for i in range(m):
             mass[dofs[c, i]] += share * weight[c]
+            part[dofs[c, i]] += taken
         for k in range(d):
             mean = 0.0
             for i in range(m):
                 mean += u[dofs[c, i], k]
-            part = share * weight[c] * (q[c, k] - share * mean)
+            misfit_k = share * weight[c] * (q[c, k] - share * mean)
             for i in range(m):
-                misfit[dofs[c, i], k] += part
+                misfit[dofs[c, i], k] += misfit_k
 
 
 @njit(cache=True, fastmath=FAST)
@@ -34,42 +46,50 @@ def scatter(dofs, total, out):
 
 
 @njit(cache=True, fastmath=FAST)
-def transport_matrix(dofs, grad, volume, density, viscosity, dt, phi0, phi1, rate0, share_of_stress, q, open_node, values):
-    """Element matrices of lumped mass, skew-symmetric convection by M = rho phi0 q, and viscosity.
+def transport_matrix(dofs, grad, volume, density, stress, dt, phi1, rate, flux, open_node, theta, u, values, rhs):
+    """Element matrices of lumped mass, skew-symmetric convection by the mass flux, and viscosity; one theta step of both.
 
-    The void fraction's rate enters as the divergence that M really has (equal to it up to the solver's tolerance), so that
-    momentum is kept to round-off; nodes of outlets, where continuity is not imposed, take the rate itself.
+    ``stress`` is the cell's share of the stress times the viscosity. The void fraction's rate enters as the divergence that the
+    flux really has (equal to it up to the solver's tolerance), so that momentum is kept to round-off; nodes of outlets, where
+    continuity is not imposed, take the rate itself. What acts on the old velocity u goes to ``rhs``.
     """
     n, m = dofs.shape
-    d = q.shape[1]
+    d = flux.shape[1]
     share = 1.0 / m
-    flux = np.empty(m)
+    out, old = np.empty(m), np.empty((m, d))
     for c in range(n):
         vol = volume[c]
         for i in range(m):
-            flux[i] = 0.0
+            out[i] = 0.0
             for k in range(d):
-                flux[i] += grad[c, i, k] * q[c, k]
-            flux[i] *= 0.5 * share * density * phi0[c] * vol
-        inertia, change = share * vol * density * phi1[c] / dt, 0.5 * share * vol * density * rate0[c]
+                out[i] += grad[c, i, k] * flux[c, k]
+                old[i, k] = u[dofs[c, i], k]
+            out[i] *= 0.5 * share * vol
+        inertia, change = share * vol * density * phi1[c] / dt, 0.5 * share * vol * density * rate[c]
         for i in range(m):
             for j in range(m):
                 g = 0.0
                 for k in range(d):
                     g += grad[c, i, k] * grad[c, j, k]
-                values[c, i, j] = flux[j] - flux[i] + share_of_stress[c] * viscosity * vol * g
-            values[c, i, i] += inertia - (change if open_node[dofs[c, i]] else m * flux[i])
+                value = out[j] - out[i] + stress[c] * vol * g
+                if i == j:
+                    value -= change if open_node[dofs[c, i]] else m * out[i]
+                if theta < 1.0:
+                    for k in range(d):
+                        rhs[dofs[c, i], k] -= (1.0 - theta) * value * old[j, k]
+                values[c, i, j] = theta * value
+            values[c, i, i] += inertia
 
 
 @njit(cache=True, fastmath=FAST)
-def open_boundary(cell, local, area_normal, density, phi0, q, values):
+def open_boundary(cell, local, area_normal, flux, values):
     """Half the outgoing mass flux on open facets, lumped; the flux that comes in brings no energy (backflow-safe)."""
-    d = q.shape[1]
+    d = flux.shape[1]
     for f in range(len(cell)):
         c, out = cell[f], 0.0
         for k in range(d):
-            out += area_normal[f, k] * q[c, k]
-        out *= 0.5 * density * phi0[c]
+            out += area_normal[f, k] * flux[c, k]
+        out *= 0.5
         if out > 0:
             for i in range(values.shape[1]):
                 if i != local[f]:
@@ -116,7 +136,7 @@ def memory(dofs, mass0, mass1, q, u, h, dt, nu, kept, defect):
         speed = 0.0
         for k in range(d):
             speed += q[c, k] * q[c, k]
-        theta = 1.0 / (1.0 + dt * (2.0 * np.sqrt(speed) / h[c] + 4.0 * nu / (h[c] * h[c])))
+        theta = np.exp(-dt * fading_rate(speed, h[c], nu))
         for k in range(d):
             mean = 0.0
             for i in range(m):
@@ -129,7 +149,7 @@ def memory(dofs, mass0, mass1, q, u, h, dt, nu, kept, defect):
 
 
 @njit(cache=True, fastmath=FAST)
-def exchange_system(dofs, grad, volume, density, dt, phi, rate, drag, source, body, u, correction, kept, q, diagonal,
+def exchange_system(dofs, grad, volume, density, dt, phi, supply, drag, source, body, u, correction, kept, q, diagonal,
                     values, rhs):
     """Cell velocities before the pressure, and the Poisson system that follows from eliminating them.
 
@@ -146,13 +166,13 @@ def exchange_system(dofs, grad, volume, density, dt, phi, rate, drag, source, bo
             for i in range(m):
                 mean += u[dofs[c, i], k] - correction[dofs[c, i], k]
             kept[c, k] += share * mean
-            q[c, k] = (inertia * kept[c, k] + source[c, k] + phi[c] * density * body[k]) / diagonal[c]
+            q[c, k] = (inertia * kept[c, k] + source[c, k] + phi[c] * body[c, k]) / diagonal[c]
         weight = phi[c] * phi[c] / diagonal[c] * volume[c]
         for i in range(m):
             flux = 0.0
             for k in range(d):
                 flux += grad[c, i, k] * q[c, k]
-            rhs[dofs[c, i]] += volume[c] * (phi[c] * flux - share * rate[c])
+            rhs[dofs[c, i]] += volume[c] * (phi[c] * flux - share * supply[c])
             for j in range(m):
                 g = 0.0
                 for k in range(d):

@@ -11,6 +11,8 @@ from fe_el.fluid.boundary_conditions import BoundaryFacets, velocity_at
 from fe_el.fluid.linear_solver import ElementMatrix, LinearSolver
 from fe_el.mesh import barycentric_maps, check_simplices, owned_corners
 
+START_STEPS = 2  # implicit Euler steps that damp a start which does not fit its boundary conditions
+
 
 class VolumeAveragedNavierStokes:
     """Flow of a fluid through the void fraction phi left by particles (model A).
@@ -30,11 +32,16 @@ class VolumeAveragedNavierStokes:
         tolerance (float): relative residual of the linear solvers.
         mean_pressure_gradient: constant part of -grad p beside the solved pressure [Pa/m], on the fluid's share phi of the
             volume: what carries the weight in a periodic box (give particles the same by ``PressureGradient(mean=...)``).
+        turbulence: eddy viscosity, for instance :class:`Smagorinsky` (see :mod:`fe_el.fluid.turbulence`); absent: laminar.
+        time_order (int): 2, or 1: implicit Euler, which damps what the step does not resolve.
         stress_of_mixture (bool): the fluid carries div tau, not phi div tau; for particles with ``ViscousStress``.
 
     Attributes:
         velocity: DG0 vector Function, interstitial velocity u [m/s].
         pressure: P1 Function [Pa].
+        body_force: force per fluid volume [N/m^3]: d numbers, (cells, d), or a function (time, cell centres); ``None``: none.
+        mass_source: volume of fluid per volume and time [1/s], that comes in with the local velocity only if ``body_force``
+            says so; a number, (cells,), or a function; ``None``: none.
 
     Raises:
         ValueError: for cells that are not simplices, a density or viscosity out of range, or an unknown boundary group.
@@ -44,7 +51,7 @@ class VolumeAveragedNavierStokes:
     """
 
     def __init__(self, mesh, facet_tags=None, density=1.2, viscosity=1.8e-5, gravity=None, tolerance=1e-8,
-                 mean_pressure_gradient=None, stress_of_mixture=False):
+                 mean_pressure_gradient=None, stress_of_mixture=False, turbulence=None, time_order=2):
         check_simplices(mesh)
         if not (density > 0 and np.isfinite(density)):
             raise ValueError(f"The fluid density is {density}; it must be finite and greater than zero [kg/m^3].")
@@ -71,8 +78,12 @@ class VolumeAveragedNavierStokes:
         self.time, self.step, self.seconds = 0.0, 0, {"fluid": 0.0}
         self.inlets, self.outlets, self.no_slip, self.slip = [], [], [], []
         mean = np.zeros(d) if mean_pressure_gradient is None else np.asarray(mean_pressure_gradient, float)[:d]
+        if time_order not in (1, 2):
+            raise ValueError(f"time_order is {time_order}; it must be 1 or 2.")
+        self.turbulence, self.time_order = turbulence, time_order
         self.mean_pressure_gradient, self.stress_of_mixture = mean.copy(), bool(stress_of_mixture)
-        self._poisson = None
+        self._poisson, self._last_flux = None, None
+        self.body_force = self.mass_source = None
         self.node_position = np.zeros((self.nodes, 3))
         self.node_position[self.dofs] = self.corner
         self.node_halo.forward(self.node_position)
@@ -139,6 +150,13 @@ class VolumeAveragedNavierStokes:
             if abs(flux) > 1e-9 * max(total, 1e-300):
                 raise ValueError(f"The inlets let {-flux:g} m^3/s into a domain without outlet; add set_pressure(group).")
 
+    def _at_cells(self, value, shape):
+        """Values (cells, ...) of a constant, an array, or a function (time, cell centres (cells, 3))."""
+        value = np.asarray(value(self.time, self.corner.mean(1)) if callable(value) else value, float)
+        if not np.isfinite(value).all():
+            raise ValueError(f"A source at time {self.time:g} is not finite; give finite numbers.")
+        return np.broadcast_to(value, shape)
+
     # -- one step ------------------------------------------------------------------------------------------------------
 
     def advance(self, dt, fields=None):
@@ -170,16 +188,26 @@ class VolumeAveragedNavierStokes:
                 raise ValueError(f"The void fraction of cell {int(np.argmin(phi))} on rank {self.comm.rank} is "
                                  f"{phi.min():g}; it must be positive. Use larger cells or smoothing.")
         phi0 = phi if self.void_fraction is None else self.void_fraction
-        rate0, self.rate = self.rate, (phi - phi0) / dt
-        self.time, self.step = self.time + dt, self.step + 1
         q = self.velocity.x.array.reshape(-1, d)[:n].copy()
-        u = self._relax(phi0, q)
+        flux, rate0 = self._mass_flux(dt, phi0, q)
+        self.rate = (phi - phi0) / dt
+        self.time, self.step = self.time + dt, self.step + 1
+        u = self._relax(dt, phi0, q)
         self._boundary_values(phi)
-        nodal = self._transport_step(dt, phi0, phi, rate0, q, u)
+        nodal = self._transport_step(dt, phi, rate0, flux, u)
         transported = self._fade(dt, phi0, phi, q, u)
         self._exchange(dt, phi, drag, source, nodal, transported)
         self.void_fraction, self.dt = phi, dt
         self.seconds["fluid"] += time.perf_counter() - tick
+
+    def _mass_flux(self, dt, phi0, q):
+        """Mass flux rho phi u and rate of the void fraction for the step: carried on to its middle for second order."""
+        flux, rate = self.density * phi0[:, None] * q, self.rate
+        last, self._last_flux = self._last_flux, (flux, rate, dt)
+        if self.time_order == 1 or last is None:
+            return flux, rate
+        part = 0.5 * dt / self.dt
+        return (1 + part) * flux - part * last[0], (1 + part) * rate - part * last[1]
 
     def _sum(self, shape):
         return np.zeros((self.nodes, *shape))
@@ -189,15 +217,21 @@ class VolumeAveragedNavierStokes:
         for a in sums:
             self.node_halo.forward(self.node_halo.reverse_add(a))
 
-    def _relax(self, phi0, q):
-        """Stage 1: u <- u + P(q - mean u) moves the nodes towards the least-squares fit of the cells."""
+    def _relax(self, dt, phi0, q):
+        """Stage 1: u <- u + a P(q - mean u) moves the nodes towards the least-squares fit of the cells.
+
+        a = 1 - exp(-2 dt r) with the cells' rate r of convection and viscosity: a rate, not a part per step, so that the
+        scheme converges with the step.
+        """
         d = self.dimension
         self.cell_mass0 = self.density * phi0 * self.volume
-        self.mass0, misfit = self._sum(()), self._sum((d,))
+        self.mass0, misfit, part = self._sum(()), self._sum((d,)), self._sum(())
         start = self._sum((d,)) if self.nodal_velocity is None else self.nodal_velocity
-        kernels.mass_and_misfit(self.dofs, self.cell_mass0, q, start, self.mass0, misfit)
-        self._complete(self.mass0, misfit)
-        u = start + misfit / self.mass0[:, None]
+        kernels.mass_and_misfit(self.dofs, self.cell_mass0, q, start, self.h, self.viscosity / self.density, dt, self.mass0,
+                                misfit, part)
+        self._complete(self.mass0, misfit, part)
+        part = 1.0 if self.nodal_velocity is None else (part / self.mass0)[:, None]
+        u = start + part * misfit / self.mass0[:, None]
         self._impose(u)
         return u
 
@@ -219,14 +253,20 @@ class VolumeAveragedNavierStokes:
             u[nodes] -= normal * (u[nodes] * normal).sum(1)[:, None]
         u[self.fixed] = self.boundary_velocity[self.fixed]
 
-    def _transport_step(self, dt, phi0, phi, rate0, q, u):
+    def _transport_step(self, dt, phi, rate0, flux, u):
         """Stage 2: convection and viscosity of the nodal velocity, implicit, skew-symmetric, conserving momentum."""
         d, values = self.dimension, self._transport.values
-        kernels.transport_matrix(self.dofs, self.gradient, self.volume, self.density, self.viscosity, dt, phi0, phi, rate0,
-                                 np.ones_like(phi) if self.stress_of_mixture else phi, q, self.fixed_pressure, values)
+        theta = 1.0 if self.time_order == 1 or self.step <= START_STEPS else 0.5
+        stress = self.viscosity * (np.ones_like(phi) if self.stress_of_mixture else phi)
+        if self.turbulence is not None:
+            stress = stress + self.density * phi * self.turbulence(self, u)
+        explicit = self._sum((d,))
+        kernels.transport_matrix(self.dofs, self.gradient, self.volume, self.density, stress, dt, phi, rate0, flux,
+                                 self.fixed_pressure, theta, u, values, explicit)
+        self.node_halo.forward(self.node_halo.reverse_add(explicit))
         for facets, _ in self.outlets:
-            kernels.open_boundary(facets.cell, facets.local, facets.area_normal, self.density, phi0, q, values)
-        rhs = self.mass0[:, None] * u / dt + self.force
+            kernels.open_boundary(facets.cell, facets.local, facets.area_normal, flux, values)
+        rhs = self.mass0[:, None] * u / dt + self.force + explicit
         elements, lift = values.copy(), self._sum((d,))
         kernels.fix_rows(self.dofs, self.fixed, values, lift, self.boundary_velocity)
         self.node_halo.reverse_add(lift)
@@ -266,9 +306,11 @@ class VolumeAveragedNavierStokes:
         """Stage 3: drag and pressure together; an exact projection with the drag on the diagonal."""
         n, d, own = self.num_cells, self.dimension, self.owned_nodes
         q, diagonal, rhs = np.empty((n, d)), np.empty(n), self._sum(())
-        kernels.exchange_system(self.dofs, self.gradient, self.volume, self.density, dt, phi, self.rate, drag, source,
-                                self.gravity + self.mean_pressure_gradient / self.density, nodal, self._correction, transported, q,
-                                diagonal, self._poisson.values, rhs)
+        body = self.density * self.gravity + self.mean_pressure_gradient
+        body = np.broadcast_to(body, (n, d)) + (0.0 if self.body_force is None else self._at_cells(self.body_force, (n, d)))
+        self.supply = self.rate - (0.0 if self.mass_source is None else self._at_cells(self.mass_source, (n,)))
+        kernels.exchange_system(self.dofs, self.gradient, self.volume, self.density, dt, phi, self.supply, drag, source, body,
+                                nodal, self._correction, transported, q, diagonal, self._poisson.values, rhs)
         self.inflow = self._sum(())
         for facets, value in self.inlets:
             flux = (velocity_at(value, self.time, facets.centre, d) * facets.area_normal).sum(1)
@@ -304,7 +346,7 @@ class VolumeAveragedNavierStokes:
         d = self.dimension
         residual, scale = self._sum(()), self._sum(())
         q = self.velocity.x.array.reshape(-1, d)[:self.num_cells]
-        kernels.mass_balance(self.dofs, self.gradient, self.volume, self.void_fraction, self.rate, q, residual, scale)
+        kernels.mass_balance(self.dofs, self.gradient, self.volume, self.void_fraction, self.supply, q, residual, scale)
         residual += self.inflow
         self._complete(residual, scale)
         residual[self.fixed_pressure] = 0.0

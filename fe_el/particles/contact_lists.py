@@ -1,9 +1,8 @@
 """The lists that contacts run on: ghosts, neighbour pairs, particles near walls, and the springs of each."""
 import numpy as np
-from mpi4py import MPI
 
 from fe_el import mesh as _mesh
-from fe_el.exchange import move
+from fe_el.exchange import largest_of, move
 from fe_el.particles import neighbours, walls as _walls
 from fe_el.particles.ghosts import Ghosts
 from fe_el.particles.wall_shapes import FACETS, shape_list
@@ -58,7 +57,7 @@ class ContactLists:
         """Locate, migrate, sort, exchange ghosts and make the lists, keeping the springs of live contacts."""
         p, comm = self.particles, self.particles.comm
         kept = self._collect(step, layout)
-        largest, speed = comm.allreduce(np.array([p.diameter.max(), p.speed()]) if len(p) else np.zeros(2), op=MPI.MAX)
+        largest, speed = largest_of(comm, p.diameter.max() if len(p) else 0.0, p.speed())
         total = comm.allreduce(np.array([p.diameter.sum(), len(p)]))
         self._choose_skin(total[0] / max(total[1], 1), largest, speed, h)
         self._check_period(largest)

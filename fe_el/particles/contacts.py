@@ -5,6 +5,7 @@ import time
 import numpy as np
 from mpi4py import MPI
 
+from fe_el.exchange import largest_of
 from fe_el.particles import contact_lists, motion
 from fe_el.particles.array_law import ArrayLaw, array_forces
 from fe_el.particles.insertion import require_positive
@@ -79,11 +80,12 @@ class Contacts:
     def step_limit(self):
         """Largest sub-step [s]: the shortest contact time in the run over ``steps_per_contact``."""
         p = self.particles
-        smallest = [p.mass.min(), 0.5 * p.diameter.min(), -p.speed(), -p.diameter.max()] if len(p) else [np.inf] * 2 + [0.0] * 2
-        mass, radius, speed, largest = p.comm.allreduce(np.array(smallest), op=MPI.MIN)
-        if not np.isfinite(mass):
+        extremes = (1 / p.mass.min(), 2 / p.diameter.min(), p.speed(), p.diameter.max()) if len(p) else np.zeros(4)
+        light, small, speed, largest = largest_of(p.comm, *extremes)
+        if not largest > 0:
             raise ValueError("There are no particles; insert some before advancing contacts.")
-        speed = max(-2 * speed, np.sqrt(np.linalg.norm(p.gravity) * -largest), 1e-3)
+        mass, radius = 1 / light, 1 / small
+        speed = max(2 * speed, np.sqrt(np.linalg.norm(p.gravity) * largest), 1e-3)
         times = [self.law.contact_time(mass / 2, radius / 2, speed)]
         if self.walls:
             times.append(self.wall_law.contact_time(mass, radius, speed))
