@@ -37,7 +37,7 @@ def contact_law():
 def bed(tiles, position, velocity):
     """Beads on a floor of facets in a box that is periodic to the sides: copies of one tile."""
     cells = (3 * tiles, 3 * tiles, 4)
-    mesh, tags = fe_el.periodic_box((TILE * tiles, TILE * tiles, HEIGHT), cells, (True, True, False))
+    mesh, tags = fe_el.periodic_box((TILE * tiles, TILE * tiles, HEIGHT), cells, (True, True, False), slices_along=0)
     beads = fe_el.Particles(mesh, DENSITY, (0, 0, -9.81))
     shift = TILE * np.array([(i, j, 0) for i in range(tiles) for j in range(tiles)])
     beads.insert_at((position + shift[:, None]).reshape(-1, 3), DIAMETER, velocity=np.tile(velocity, (tiles ** 2, 1)))

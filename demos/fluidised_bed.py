@@ -37,8 +37,8 @@ def bed_mesh(fraction, cell_size):
     """Mesh of the bed, or of a slice of its width."""
     folder = Path(__file__).resolve().parent.parent / "meshes"
     if fraction == 1.0 and cell_size == 0.0075:
-        return fe_el.read_mesh(folder / "fluidised_bed.msh")
-    return fe_el.mesh_geo(folder / "fluidised_bed.geo", width=WIDTH * fraction, size=cell_size)
+        return fe_el.read_mesh(folder / "fluidised_bed.msh", slices_along=0)
+    return fe_el.mesh_geo(folder / "fluidised_bed.geo", slices_along=0, width=WIDTH * fraction, size=cell_size)
 
 
 def fill(beads, fraction, seed):

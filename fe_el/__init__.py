@@ -1,6 +1,6 @@
 """fe_el: finite-element fluid with Lagrangian particles on FEniCSx.
 
-Fluid: VolumeAveragedNavierStokes
+Fluid: VolumeAveragedNavierStokes, Scalar, Probe, TimeAverage, SolverDiverged; eddy viscosities Smagorinsky, Vreman, Wale
 Particles: Particles, Inlet, LostParticle, Contacts; laws LinearSpringDashpot, HertzMindlin, RollingFriction, ArrayLaw;
     walls FacetWalls, PlaneWall, CylinderWall
 Coupling: Coupling; forces Drag, PressureGradient, ViscousStress, Buoyancy; drag_laws; HelmholtzSmoothing, PatchAverage;
@@ -15,6 +15,7 @@ import importlib
 
 _HOME = {
     "VolumeAveragedNavierStokes": "fluid.volume_averaged_navier_stokes", "SolverDiverged": "fluid.linear_solver",
+    "Scalar": "fluid.scalar", "Probe": "fluid.observers", "TimeAverage": "fluid.observers", "Smagorinsky": "fluid.turbulence", "Vreman": "fluid.turbulence", "Wale": "fluid.turbulence",
     "Particles": "particles.particles", "LostParticle": "particles.particles", "Contacts": "particles.contacts",
     "LinearSpringDashpot": "particles.contact_laws", "HertzMindlin": "particles.contact_laws",
     "RollingFriction": "particles.contact_laws", "ArrayLaw": "particles.array_law", "Inlet": "particles.open_boundaries",

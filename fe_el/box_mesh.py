@@ -3,6 +3,8 @@ import numpy as np
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
+from fe_el.partition import create_mesh
+
 SIDES = {"x-": 1, "x+": 2, "y-": 3, "y+": 4, "z-": 5, "z+": 6}
 
 
@@ -13,12 +15,13 @@ def check_box(lengths, cells):
         raise ValueError(f"The box has lengths {list(lengths)} and cells {list(cells)}; give 2 or 3 positive numbers each.")
 
 
-def box(lengths, cells, comm=MPI.COMM_WORLD):
+def box(lengths, cells, comm=MPI.COMM_WORLD, slices_along=None):
     """A rectangle (crossed triangles) or box (tetrahedra) from the origin.
 
     Args:
         lengths: 2 or 3 edge lengths [m].
         cells: squares or cubes per direction.
+        slices_along (int): axis across which every rank gets a slice; absent: dolfinx partitions by the graph of cells.
 
     Returns:
         (mesh, facet_tags): the sides x-, x+, y-, y+, z-, z+ have the tags 1 to 6.
@@ -31,12 +34,19 @@ def box(lengths, cells, comm=MPI.COMM_WORLD):
     """
     check_box(lengths, cells)
     d = len(lengths)
+    whole = comm
+    if slices_along is not None:
+        comm = MPI.COMM_SELF
     corners = [np.zeros(d), np.asarray(lengths, float)]
     if d == 2:
         mesh = dmesh.create_rectangle(comm, corners, cells, dmesh.CellType.triangle,
                                       diagonal=dmesh.DiagonalType.crossed)
     else:
         mesh = dmesh.create_box(comm, corners, cells, dmesh.CellType.tetrahedron)
+    if slices_along is not None:
+        nodes = mesh.geometry.dofmap.array.reshape(-1, d + 1) if whole.rank == 0 else np.zeros((0, d + 1), np.int64)
+        mesh = create_mesh(whole, nodes, mesh.geometry.x[:, :d] if whole.rank == 0 else np.zeros((0, d)), mesh.ufl_domain(),
+                           slices_along)
     facets, values = [], []
     for k in range(d):
         for side, at in enumerate((0.0, lengths[k])):

@@ -217,8 +217,10 @@ def require_groups(mesh, facet_tags, groups):
     return groups
 
 
-def read_mesh(path, comm=MPI.COMM_WORLD, dimension=3):
+def read_mesh(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None):
     """Read a gmsh ``.msh`` file with physical groups: (mesh, cell tags, facet tags).
+
+    ``slices_along`` (0, 1 or 2) gives every rank a slice across that axis; absent: dolfinx partitions by the graph of cells.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -232,10 +234,10 @@ def read_mesh(path, comm=MPI.COMM_WORLD, dimension=3):
         gmsh.initialize()
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.open(str(path))
-    return _from_gmsh(gmsh, gmshio, comm, dimension)
+    return _from_gmsh(gmsh, gmshio, comm, dimension, slices_along)
 
 
-def mesh_geo(path, comm=MPI.COMM_WORLD, dimension=3, **parameters):
+def mesh_geo(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None, **parameters):
     """Mesh a gmsh ``.geo`` file with the given values of its parameters: (mesh, cell tags, facet tags)."""
     import gmsh
     from dolfinx.io import gmshio
@@ -246,10 +248,10 @@ def mesh_geo(path, comm=MPI.COMM_WORLD, dimension=3, **parameters):
         gmsh.initialize(["fe_el", "-v", "0", *numbers])
         gmsh.open(str(path))
         gmsh.model.mesh.generate(dimension)
-    return _from_gmsh(gmsh, gmshio, comm, dimension)
+    return _from_gmsh(gmsh, gmshio, comm, dimension, slices_along)
 
 
-def _from_gmsh(gmsh, gmshio, comm, dimension):
+def _from_gmsh(gmsh, gmshio, comm, dimension, slices_along):
     kinds = None
     if comm.rank == 0:
         kinds = [gmsh.model.mesh.getElementProperties(k)[0] for k in gmsh.model.mesh.getElementTypes(dimension)]
@@ -260,7 +262,14 @@ def _from_gmsh(gmsh, gmshio, comm, dimension):
             gmsh.finalize()
         raise ValueError(f"The mesh has cells of type {', '.join(kinds) or 'none'}; fe_el needs {wanted} (first-order "
                          "simplices). Mesh again without Recombine and with ElementOrder 1.")
-    mesh, cells, facets = gmshio.model_to_mesh(gmsh.model, comm, 0, gdim=dimension)
+    from fe_el import partition
+    plain = gmshio.create_mesh
+    if slices_along is not None:  # model_to_mesh has no argument for it
+        gmshio.create_mesh = lambda comm, cells, x, domain: partition.create_mesh(comm, cells, x, domain, slices_along)
+    try:
+        mesh, cells, facets = gmshio.model_to_mesh(gmsh.model, comm, 0, gdim=dimension)
+    finally:
+        gmshio.create_mesh = plain
     if comm.rank == 0:
         gmsh.finalize()
     return mesh, cells, facets

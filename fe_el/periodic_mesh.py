@@ -10,6 +10,7 @@ from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
 from fe_el.box_mesh import check_box
+from fe_el.partition import slices_of
 
 
 def _wrapped_cells(lengths, cells, periodic):
@@ -44,13 +45,14 @@ def _cellwise_geometry(cell_x, domain):
     return out
 
 
-def periodic_box(lengths, cells, periodic=None, comm=MPI.COMM_WORLD):
+def periodic_box(lengths, cells, periodic=None, comm=MPI.COMM_WORLD, slices_along=None):
     """A rectangle (crossed triangles) or box (tetrahedra) from the origin, periodic in the chosen directions.
 
     Args:
         lengths: 2 or 3 edge lengths [m].
         cells: squares or cubes per direction; at least 3 in a periodic direction.
         periodic: one truth value per direction; absent: all periodic.
+        slices_along (int): axis across which every rank gets a slice; absent: dolfinx partitions by the graph of cells.
 
     Returns:
         (mesh, facet_tags): sides that are not periodic have the tags of :func:`fe_el.box`. Vertices at the wrap have no
@@ -74,8 +76,12 @@ def periodic_box(lengths, cells, periodic=None, comm=MPI.COMM_WORLD):
     first = np.zeros((numbers.max() + 1, d))
     first[numbers[::-1].ravel()] = cell_x[::-1].reshape(-1, d)
     root = comm.rank == 0
+    choice = {}
+    if slices_along is not None:
+        choice["partitioner"] = slices_of(cell_x.mean(1) if root else np.zeros((0, d)), numbers if root else numbers[:0],
+                                          slices_along)
     graph = dmesh.create_mesh(comm, numbers if root else numbers[:0], first if root else first[:0], domain,
-                              ghost_mode=dmesh.GhostMode.shared_facet)
+                              ghost_mode=dmesh.GhostMode.shared_facet, **choice)
     original = np.array(graph.topology.original_cell_index)
     dofs = graph.geometry.dofmap.array.reshape(len(original), -1)
     inputs = np.array(graph.geometry.input_global_indices)[dofs]

@@ -22,8 +22,8 @@ class Coupling:
 
     Args:
         particles (Particles): the particles.
-        velocity: the fluid's interstitial velocity, a vector Function [m/s].
-        pressure: its pressure, a Function [Pa].
+        velocity: the fluid's interstitial velocity, a vector Function or UFL expression [m/s].
+        pressure: its pressure, a Function or UFL expression [Pa].
         fluid_density, fluid_viscosity (float): [kg/m^3], [Pa s].
         forces: list of :class:`Drag`, :class:`PressureGradient`, :class:`ViscousStress`, :class:`Buoyancy`.
         scheme (str): ``conservative``, ``explicit``, ``implicit``, ``split`` or ``void_cells_explicit``.

@@ -37,11 +37,12 @@ class PressureGradientMean:
     """Cell means of grad p: exact and without a form for P1 pressure."""
 
     def __init__(self, mesh, pressure, barycentric):
-        element, d = pressure.function_space.ufl_element(), mesh.topology.dim
+        d = mesh.topology.dim
+        element = pressure.function_space.ufl_element() if isinstance(pressure, fem.Function) else None
         self.pressure, self.d = pressure, d
         n = mesh.topology.index_map(d).size_local
         self.general = None
-        if element.family() == "Lagrange" and element.degree() == 1:
+        if element is not None and element.family() == "Lagrange" and element.degree() == 1:
             self.dofs = pressure.function_space.dofmap.list.array.reshape(-1, d + 1)[:n]
             self.gradient = barycentric[:n, :, :d]
         else:

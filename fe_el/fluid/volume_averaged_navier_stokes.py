@@ -90,32 +90,35 @@ class VolumeAveragedNavierStokes:
 
     # -- boundary conditions -----------------------------------------------------------------------------------------
 
-    def _facets(self, group):
+    def boundary(self, group):
+        """Facets and nodes of a boundary group."""
         if self.facet_tags is None:
             raise ValueError(f"Boundary group {group} was named, but no facet_tags were given; pass facet_tags=.")
-        self._poisson = None
         return BoundaryFacets(self.mesh, self.facet_tags, group, self.dofs, self.corner, self.gradient, self.volume,
                               self.node_halo, self.nodes)
 
     def set_velocity(self, group, value):
         """Superficial velocity on an inlet: d numbers, or a function (time, position (points, 3)) -> (points, d)."""
-        facets = self._facets(group)
+        facets = self.boundary(group)
         velocity_at(value, 0.0, facets.centre, self.dimension)
         self.inlets.append((facets, value))
+        self._poisson = None
 
     def set_pressure(self, group, value=0.0):
         """Pressure on an outlet [Pa]: a number or a function of time. Fluid may enter there without bringing energy."""
         if not callable(value) and not np.isfinite(value):
             raise ValueError(f"The pressure is {value}; it must be finite [Pa].")
-        self.outlets.append((self._facets(group), value))
+        self.outlets.append((self.boundary(group), value))
+        self._poisson = None
 
     def set_no_slip(self, group):
         """No-slip wall."""
-        self.no_slip.append(self._facets(group))
+        self.no_slip.append(self.boundary(group))
+        self._poisson = None
 
     def set_slip(self, group):
         """Slip wall: no flow through it and no friction."""
-        facets = self._facets(group)
+        facets = self.boundary(group)
         normal = np.zeros((self.nodes, self.dimension))
         np.add.at(normal, facets.facet_nodes, facets.area_normal[:, None])
         self.node_halo.forward(self.node_halo.reverse_add(normal))
@@ -150,7 +153,7 @@ class VolumeAveragedNavierStokes:
             if abs(flux) > 1e-9 * max(total, 1e-300):
                 raise ValueError(f"The inlets let {-flux:g} m^3/s into a domain without outlet; add set_pressure(group).")
 
-    def _at_cells(self, value, shape):
+    def at_cells(self, value, shape):
         """Values (cells, ...) of a constant, an array, or a function (time, cell centres (cells, 3))."""
         value = np.asarray(value(self.time, self.corner.mean(1)) if callable(value) else value, float)
         if not np.isfinite(value).all():
@@ -197,7 +200,7 @@ class VolumeAveragedNavierStokes:
         nodal = self._transport_step(dt, phi, rate0, flux, u)
         transported = self._fade(dt, phi0, phi, q, u)
         self._exchange(dt, phi, drag, source, nodal, transported)
-        self.void_fraction, self.dt = phi, dt
+        self.void_fraction, self.void_fractions, self.dt = phi, (phi0, phi), dt
         self.seconds["fluid"] += time.perf_counter() - tick
 
     def _mass_flux(self, dt, phi0, q):
@@ -212,7 +215,7 @@ class VolumeAveragedNavierStokes:
     def _sum(self, shape):
         return np.zeros((self.nodes, *shape))
 
-    def _complete(self, *sums):
+    def complete(self, *sums):
         """Make nodal sums of owned cells complete on every rank."""
         for a in sums:
             self.node_halo.forward(self.node_halo.reverse_add(a))
@@ -229,7 +232,7 @@ class VolumeAveragedNavierStokes:
         start = self._sum((d,)) if self.nodal_velocity is None else self.nodal_velocity
         kernels.mass_and_misfit(self.dofs, self.cell_mass0, q, start, self.h, self.viscosity / self.density, dt, self.mass0,
                                 misfit, part)
-        self._complete(self.mass0, misfit, part)
+        self.complete(self.mass0, misfit, part)
         part = 1.0 if self.nodal_velocity is None else (part / self.mass0)[:, None]
         u = start + part * misfit / self.mass0[:, None]
         self._impose(u)
@@ -242,7 +245,7 @@ class VolumeAveragedNavierStokes:
             void, number = self._sum(()), self._sum(())
             np.add.at(void, facets.facet_nodes, phi[facets.cell][:, None])
             np.add.at(number, facets.facet_nodes, 1.0)
-            self._complete(void, number)
+            self.complete(void, number)
             k = facets.nodes
             self.boundary_velocity[k] = velocity_at(value, self.time, self.node_position[k], d) * (number[k] / void[k])[:, None]
         for facets in self.no_slip:
@@ -286,9 +289,10 @@ class VolumeAveragedNavierStokes:
         kernels.scatter(self.dofs, self.cell_mass[:, None], self.mass[:, None])
         balance = self._sum((d,))
         kernels.apply_elements(self.dofs, elements, new, balance)
-        self._complete(self.mass, balance)
+        self.complete(self.mass, balance)
         exact = new + dt * (rhs + balance) / self.mass[:, None]
         exact[self.fixed] = new[self.fixed]
+        self._reaction = -rhs - balance  # at fixed nodes: what the wall adds per time to hold the velocity
         self._impose(exact)
         return exact - dt * self.force / self.mass[:, None]
 
@@ -298,7 +302,7 @@ class VolumeAveragedNavierStokes:
         kept, defect = np.empty_like(q), self._sum((d,))
         kernels.memory(self.dofs, self.cell_mass0, self.cell_mass, q, u, self.h, dt, self.viscosity / self.density, kept,
                        defect)
-        self._complete(defect)
+        self.complete(defect)
         self._correction = defect / self.mass[:, None]
         return kept
 
@@ -307,8 +311,8 @@ class VolumeAveragedNavierStokes:
         n, d, own = self.num_cells, self.dimension, self.owned_nodes
         q, diagonal, rhs = np.empty((n, d)), np.empty(n), self._sum(())
         body = self.density * self.gravity + self.mean_pressure_gradient
-        body = np.broadcast_to(body, (n, d)) + (0.0 if self.body_force is None else self._at_cells(self.body_force, (n, d)))
-        self.supply = self.rate - (0.0 if self.mass_source is None else self._at_cells(self.mass_source, (n,)))
+        body = np.broadcast_to(body, (n, d)) + (0.0 if self.body_force is None else self.at_cells(self.body_force, (n, d)))
+        self.supply = self.rate - (0.0 if self.mass_source is None else self.at_cells(self.mass_source, (n,)))
         kernels.exchange_system(self.dofs, self.gradient, self.volume, self.density, dt, phi, self.supply, drag, source, body,
                                 nodal, self._correction, transported, q, diagonal, self._poisson.values, rhs)
         self.inflow = self._sum(())
@@ -332,7 +336,7 @@ class VolumeAveragedNavierStokes:
         change = self._sum((d,))
         kernels.pressure_step(self.dofs, self.gradient, self.volume, self.density, dt, phi, diagonal, p, transported, q,
                               change)
-        self._complete(change)
+        self.complete(change)
         self.velocity.x.array.reshape(-1, d)[:n] = q
         self.velocity.x.scatter_forward()
         self.nodal_velocity = nodal + dt * change / self.mass[:, None]
@@ -348,10 +352,22 @@ class VolumeAveragedNavierStokes:
         q = self.velocity.x.array.reshape(-1, d)[:self.num_cells]
         kernels.mass_balance(self.dofs, self.gradient, self.volume, self.void_fraction, self.supply, q, residual, scale)
         residual += self.inflow
-        self._complete(residual, scale)
+        self.complete(residual, scale)
         residual[self.fixed_pressure] = 0.0
         largest = self.comm.allreduce(np.abs(residual).max(initial=0.0), op=MPI.MAX)
         return largest / max(self.comm.allreduce(scale.max(initial=0.0), op=MPI.MAX), 1e-300)
+
+    def boundary_force(self, group):
+        """Force of the fluid on a no-slip boundary group, by pressure and by shear: two arrays (d,) [N].
+
+        The shear is what the nodes of the wall need to keep their velocity, so the two balance the fluid's momentum exactly.
+        Call it after :meth:`advance`. Nodes that two groups share count for both.
+        """
+        facets, d, own = self.boundary(group), self.dimension, self.owned_nodes
+        p = self.pressure.x.array[facets.facet_nodes].mean(1) if len(facets.cell) else np.zeros(0)
+        pressure = (p[:, None] * facets.area_normal).sum(0).reshape(d)
+        nodes = facets.nodes[facets.nodes < own]
+        return self.comm.allreduce(pressure), self.comm.allreduce(-self._reaction[nodes].sum(0))
 
     def momentum(self):
         """Total fluid momentum (d,) [kg m/s]."""

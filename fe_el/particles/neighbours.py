@@ -8,6 +8,18 @@ from numba import njit
 
 
 @njit(cache=True)
+def morton_code(x, lower, size):
+    """Bits of the box indices of each position, interleaved: boxes that are near in space are near in this order."""
+    code = np.zeros(len(x), np.int64)
+    for i in range(len(x)):
+        for k in range(3):
+            index = int((x[i, k] - lower[k]) / size)
+            for bit in range(20):
+                code[i] |= ((index >> bit) & 1) << (3 * bit + k)
+    return code
+
+
+@njit(cache=True)
 def _classes(radius, smallest, count):
     """Size class of each particle, and the largest radius of each class."""
     level, largest = np.empty(len(radius), np.int32), np.zeros(count)
