@@ -53,15 +53,16 @@ def main(diameter=2.5e-3, particles=6000, slot=0.02, stiffness=2000.0, friction=
     open_ = fe_el.Contacts(beads, law, walls, steps_per_contact=30)
     out = fe_el.ParaViewOutput(output, beads, every=output_every)
     start, rows, total, resting, last = time.perf_counter(), [], beads.comm.allreduce(beads.mass.sum()), None, closed
-    for now in fe_el.time_steps(time_step, end_time, progress=progress):
-        contacts = closed if now <= settle_time else open_
-        if contacts is not last:
-            resting = gather(beads)
-            beads.remove_at(tags, OUTLET)
-            last = contacts
-        beads.advance(time_step, contacts)
-        rows.append((now, beads.left_mass, beads.kinetic_energy()))
-        out.write(now)
+    with out:
+        for now in fe_el.time_steps(time_step, end_time, progress=progress):
+            contacts = closed if now <= settle_time else open_
+            if contacts is not last:
+                resting = gather(beads)
+                beads.remove_at(tags, OUTLET)
+                last = contacts
+            beads.advance(time_step, contacts)
+            rows.append((now, beads.left_mass, beads.kinetic_energy()))
+            out.write(now)
     rows, wall_time = np.array(rows), time.perf_counter() - start
     rate = discharge_rate(rows, settle_time)
     bulk = 0.6 * DENSITY

@@ -26,6 +26,7 @@ def arguments():
     p.add_argument("--slice", type=float, default=1.0, help="fraction of the bed's width, same height")
     p.add_argument("--drag", default="beetstra", help="name of the drag law")
     p.add_argument("--stiffness", type=float, default=500.0, help="contact stiffness [N/m]")
+    p.add_argument("--steps-per-contact", type=int, default=50, help="contact steps in the shortest contact")
     p.add_argument("--cell-size", type=float, default=0.0075, help="edge length of the tetrahedra [m]")
     p.add_argument("--output-every", type=float, default=0.05, help="time between ParaView outputs [s]")
     p.add_argument("--seed", type=int, default=1, help="seed of the initial mixture")
@@ -83,7 +84,8 @@ class Record:
         self.fullest = max(self.fullest, coupling.max_solid_fraction)
 
 
-def main(superficial_velocity=1.3, end_time=1.0, time_step=1e-4, slice=1.0, drag="beetstra", stiffness=500.0, cell_size=0.0075,
+def main(superficial_velocity=1.3, end_time=1.0, time_step=1e-4, slice=1.0, drag="beetstra", stiffness=500.0,
+         steps_per_contact=50, cell_size=0.0075,
          output_every=0.05, seed=1, output="out/fluidised_bed", progress=True):
     """Run the bed and return the summary."""
     if not 0 < slice <= 1:
@@ -94,7 +96,7 @@ def main(superficial_velocity=1.3, end_time=1.0, time_step=1e-4, slice=1.0, drag
     beads = fe_el.Particles(mesh, density=BEAD_DENSITY, gravity=gravity)
     fill(beads, slice, seed)
     contacts = fe_el.Contacts(beads, fe_el.LinearSpringDashpot(stiffness, restitution=0.9, friction=0.1),
-                              walls=(tags, (WALL, INLET)))
+                              walls=(tags, (WALL, INLET)), steps_per_contact=steps_per_contact)
     air = coupling = None
     if superficial_velocity:
         air = fe_el.VolumeAveragedNavierStokes(mesh, tags, GAS_DENSITY, GAS_VISCOSITY, gravity)
@@ -107,20 +109,21 @@ def main(superficial_velocity=1.3, end_time=1.0, time_step=1e-4, slice=1.0, drag
     out = fe_el.ParaViewOutput(output, beads, [air.velocity, air.pressure, coupling.fields[0]] if air else [], output_every)
     record, start = Record(), time.perf_counter()
     number, weight = beads.total_number, beads.comm.allreduce(beads.mass.sum()) * GRAVITY / area
-    for now in fe_el.time_steps(time_step, end_time, progress=progress):
-        if air:
-            coupling.to_fluid(time_step)
-            air.advance(time_step, coupling.fields)
-            coupling.to_particles(time_step)
-            record.ledger(coupling, air)
-        beads.advance(time_step, contacts)
-        drop = pressure_drop(air) if air else 0.0
-        record.rows.append((now, drop, mean_height(beads, True), mean_height(beads, False), beads.kinetic_energy()))
-        out.write(now)
+    with out:
+        for now in fe_el.time_steps(time_step, end_time, progress=progress):
+            if air:
+                coupling.to_fluid(time_step)
+                air.advance(time_step, coupling.fields)
+                coupling.to_particles(time_step)
+                record.ledger(coupling, air)
+            beads.advance(time_step, contacts)
+            drop = pressure_drop(air) if air else 0.0
+            record.rows.append((now, drop, mean_height(beads, True), mean_height(beads, False), beads.kinetic_energy()))
+            out.write(now)
     wall_time = time.perf_counter() - start
-    return finish(output, record, beads, contacts, air, coupling, out, dict(
-        slice=slice, particles=number, cells=mesh.comm.allreduce(beads.cells.owned), time_step=time_step, end_time=end_time,
-        superficial_velocity=superficial_velocity, bed_weight_per_area=weight, wall_time=wall_time))
+    return finish(output, record, beads, contacts, air, coupling, out, {
+        "slice": slice, "particles": number, "cells": mesh.comm.allreduce(beads.cells.owned), "time_step": time_step, "end_time": end_time,
+        "superficial_velocity": superficial_velocity, "bed_weight_per_area": weight, "wall_time": wall_time})
 
 
 def pressure_drop(air):

@@ -42,7 +42,7 @@ def main(dimension=2, cells=6, particles=400, end_time=0.02, time_step=5e-4, out
                                                   ufl.split(old))
     coupling = fe_el.Coupling(beads, u_new, p_new, RHO, MU, [fe_el.Drag("beetstra"), fe_el.PressureGradient()])
     void, drag, source = coupling.fields
-    void_old, dt, normal = fem.Function(void.function_space), fem.Constant(mesh, time_step), ufl.FacetNormal(mesh)
+    void_old, dt = fem.Function(void.function_space), fem.Constant(mesh, time_step)
     bottom, top = 2 * up + 1, 2 * up + 2
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
     a = (RHO * void / dt * ufl.inner(u, v) + RHO * void * ufl.inner(ufl.dot(u_old, ufl.nabla_grad(u)), v)

@@ -45,7 +45,7 @@ class Suspension:
         lengths = np.array(box, float) * diameter
         self.mesh, _ = fe_el.periodic_box(lengths, cells)
         size = coarse_graining * diameter
-        count = int(round(solid_fraction * lengths.prod() / (np.pi / 6 * size ** 3)))
+        count = round(solid_fraction * lengths.prod() / (np.pi / 6 * size ** 3))
         self.solid = count * np.pi / 6 * size ** 3 / lengths.prod()
         down = np.array([0, 0, -GRAVITY])
         mixture = self.solid * particle_density + (1 - self.solid) * GAS_DENSITY

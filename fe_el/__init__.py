@@ -30,7 +30,7 @@ _HOME = {
     "stage_seconds": "output",
 }
 _MODULES = ("drag_laws", "time_scales", "schemes", "mapping")
-__all__ = [*_HOME, *_MODULES]
+__all__ = list(_HOME) + list(_MODULES)
 
 
 def __getattr__(name):

@@ -1,4 +1,6 @@
 """Boxes of simplices with tagged sides, for scripts."""
+from functools import partial
+
 import numpy as np
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
@@ -13,6 +15,11 @@ def check_box(lengths, cells):
     d = len(lengths)
     if d not in (2, 3) or len(cells) != d or not np.all(np.array(lengths, float) > 0) or min(cells) < 1:
         raise ValueError(f"The box has lengths {list(lengths)} and cells {list(cells)}; give 2 or 3 positive numbers each.")
+
+
+def _on_side(k, at, tolerance, x):
+    """Whether points x (3, points) have coordinate k at a value."""
+    return np.abs(x[k] - at) < tolerance
 
 
 def box(lengths, cells, comm=MPI.COMM_WORLD, slices_along=None):
@@ -50,7 +57,7 @@ def box(lengths, cells, comm=MPI.COMM_WORLD, slices_along=None):
     facets, values = [], []
     for k in range(d):
         for side, at in enumerate((0.0, lengths[k])):
-            found = dmesh.locate_entities_boundary(mesh, d - 1, lambda x: np.isclose(x[k], at, atol=1e-10 * lengths[k]))
+            found = dmesh.locate_entities_boundary(mesh, d - 1, partial(_on_side, k, at, 1e-10 * lengths[k]))
             facets.append(found)
             values.append(np.full(len(found), 2 * k + side + 1, np.int32))
     facets, values = np.concatenate(facets), np.concatenate(values)

@@ -10,6 +10,13 @@ def largest_of(comm, *numbers):
     return out
 
 
+def raise_everywhere(comm, error, message):
+    """Raise ``error(message)`` on every rank if any rank has a message. Collective."""
+    messages = [m for m in comm.allgather(message) if m] if comm.size > 1 else [message] * bool(message)
+    if messages:
+        raise error(messages[0])
+
+
 class Halo:
     """Copies of owned entries on other ranks, with the two directions of exchange.
 

@@ -244,7 +244,7 @@ def mesh_geo(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None, **parame
     if not Path(path).is_file():
         raise FileNotFoundError(f"There is no geometry file {path}; give the path of a gmsh .geo file.")
     if comm.rank == 0:
-        numbers = sum((["-setnumber", name, repr(float(value))] for name, value in parameters.items()), [])
+        numbers = [word for name, value in parameters.items() for word in ("-setnumber", name, repr(float(value)))]
         gmsh.initialize(["fe_el", "-v", "0", *numbers])
         gmsh.open(str(path))
         gmsh.model.mesh.generate(dimension)

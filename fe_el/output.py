@@ -42,6 +42,9 @@ def stage_seconds(*parts):
 class ParaViewOutput:
     """Writes particles and cell fields as .vtu pieces, one per rank, with .pvd collections for ParaView.
 
+    Used as a context (``with output: ...``) it remembers the state of every call of :meth:`write`; if the run stops with an
+    error, it writes the last good state before the error goes on.
+
     Args:
         folder: where to write.
         particles (Particles): absent: none are written.
@@ -56,7 +59,8 @@ class ParaViewOutput:
         self.folder, self.particles, self.fields, self.every = Path(folder), particles, list(fields), every
         self.comm = particles.comm if particles is not None else fields[0].function_space.mesh.comm
         self.seconds = {"output": 0.0}
-        self.next_time, self.written = -np.inf, {"particles": [], "fluid": []}
+        self.next_time, self.written = -np.inf, {"particles": [], "fluid": [], "times": []}
+        self.guarding, self.remembered = False, None
         self.folder.mkdir(parents=True, exist_ok=True)
         if self.fields:
             corner, _ = owned_corners(self.fields[0].function_space.mesh)
@@ -65,24 +69,54 @@ class ParaViewOutput:
 
     def write(self, time):
         """Write the state at ``time`` [s], unless the last output is more recent than ``every``."""
+        if self.guarding:
+            self.remembered = (time, self._particle_data(), self._fluid_data())
         if time < self.next_time - 1e-12:
             return
         tick = time_now.perf_counter()
         if self.every:
             self.next_time = (time if self.next_time == -np.inf else self.next_time) + self.every
-        if self.particles is not None:
-            self._piece("particles", time, self._particle_piece())
-        if self.fields:
-            self._piece("fluid", time, self._fluid_piece())
+        self._write(time, self._particle_data(), self._fluid_data())
         self.seconds["output"] += time_now.perf_counter() - tick
 
-    def _particle_piece(self):
-        p = self.particles
-        data = {"velocity": p.velocity, "angular_velocity": p.angular_velocity, "diameter": p.diameter, "id": p.id,
-                **{name: a for name, a in p.properties.items() if not name.startswith("_")}}
-        return meshio.Mesh(p.position, [("vertex", np.arange(len(p)).reshape(-1, 1))], point_data=data)
+    def __enter__(self):
+        self.guarding = True
+        return self
 
-    def _fluid_piece(self):
+    def __exit__(self, kind, error, trace):
+        self.guarding = False
+        if error is not None and self.remembered is not None and not isinstance(error, KeyboardInterrupt):
+            time = self.remembered[0]
+            if not self.written["times"] or time > self.written["times"][-1]:
+                self._write(*self.remembered)
+            if self.comm.rank == 0:
+                print(f"The run stopped after time {time:g} s; {self.folder} has the last good state.", file=sys.stderr)
+        return False
+
+    def _write(self, time, particles, fluid):
+        self.written["times"].append(time)
+        if particles is not None:
+            position, data = particles
+            self._piece("particles", time, meshio.Mesh(position, [("vertex", np.arange(len(position)).reshape(-1, 1))],
+                                                       point_data=data))
+        if fluid is not None:
+            cell_data, point_data = fluid
+            self._piece("fluid", time, meshio.Mesh(self.points, self.cells, point_data=point_data, cell_data=cell_data))
+
+    def _particle_data(self):
+        """Copies of what is written of the particles; ``None`` without particles."""
+        p = self.particles
+        if p is None:
+            return None
+        names = ("velocity", "angular_velocity", "diameter", "id")
+        data = {name: getattr(p, name).copy() for name in names}
+        data |= {name: a.copy() for name, a in p.properties.items() if not name.startswith("_")}
+        return p.position.copy(), data
+
+    def _fluid_data(self):
+        """Copies of what is written of the fields, cell by cell; ``None`` without fields."""
+        if not self.fields:
+            return None
         cell_data, point_data, n = {}, {}, len(self.cells[0][1])
         for f in self.fields:
             size, element = f.function_space.dofmap.index_map_bs, f.function_space.ufl_element()
@@ -91,11 +125,11 @@ class ParaViewOutput:
                 values = np.column_stack([values, np.zeros(len(values))])
             values = values[:, 0] if size == 1 else values
             if element.degree() == 0:
-                cell_data[f.name] = [values[:n]]
+                cell_data[f.name] = [values[:n].copy()]
             else:
                 dofs = f.function_space.dofmap.list.array.reshape(len(f.function_space.dofmap.list), -1)[:n]
                 point_data[f.name] = values[dofs.ravel()]
-        return meshio.Mesh(self.points, self.cells, point_data=point_data, cell_data=cell_data)
+        return cell_data, point_data
 
     def _piece(self, name, time, piece):
         number = len(self.written[name])

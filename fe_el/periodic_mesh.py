@@ -3,9 +3,9 @@
 The topology is built from wrapped vertex numbers, the geometry is kept cell by cell with unwrapped coordinates. So facets,
 ghosts, function spaces and the walk of particles see the wrap by themselves, and cost nothing at run time.
 """
-import dolfinx.cpp as cpp
 import numpy as np
 import ufl
+from dolfinx import cpp
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
 

@@ -98,7 +98,7 @@ def test_oblique_impact(reference, name, law):
     rows = [r for r in reference("mfix_dem05_oblique.csv") if r["quantity"] == "ALPHA" and r["set"] == name]
     assert len(rows) > 25
     for row in rows:
-        v, w = oblique(row["impact_angle_deg"], law)
+        v, _w = oblique(row["impact_angle_deg"], law)
         rebound = np.degrees(np.arctan2(v[0], v[2]))
         assert rebound == pytest.approx(row["value_particle_wall"], abs=0.12)
         if row["impact_angle_deg"] > 32:  # slides throughout: tan(rebound) = tan(impact) - mu (1 + e), exactly

@@ -212,23 +212,23 @@ def stored_overlap(p):
 
 
 def test_a_packed_column_comes_to_rest():
-    """Kinetic energy decays to round-off of the weight scale, and nothing creeps."""
-    mesh, tags = fe_el.box((0.008, 0.008, 0.03), (2, 2, 6))
-    p = fe_el.Particles(mesh, RHO, (0, 0, -9.81))
-    p.insert_on_lattice((0, 0, 0), (0.008, 0.008, 0.03), np.random.default_rng(1).uniform(1.5e-3, 2e-3, 120), seed=1)
+    """Beads stacked in a square tube: kinetic energy decays to round-off of the weight scale, and nothing creeps."""
+    mesh, tags = fe_el.box((0.0034, 0.0034, 0.05), (1, 1, 10))
+    p, n = fe_el.Particles(mesh, RHO, (0, 0, -9.81)), np.arange(24)
+    side = np.array([0.0010001, 0.0023999])
+    p.insert_at(np.column_stack([side[n % 2], side[(n // 2) % 2], 1.4e-3 + 2.03e-3 * n]), D)
     c = fe_el.Contacts(p, fe_el.LinearSpringDashpot(1000.0, 0.5, 0.4), (tags, (1, 2, 3, 4, 5)))
-    for _ in range(60):
+    for _ in range(20):
         p.advance(0.02, c)
     before = p.position[np.argsort(p.id)].copy()
-    scale = p.mass.sum() * 9.81 * D
-    for _ in range(10):
+    for _ in range(20):
         p.advance(0.02, c)
-    assert p.kinetic_energy() < 1e-20 * scale
-    assert np.abs(p.position[np.argsort(p.id)] - before).max() < 1e-10 * D
+    assert p.kinetic_energy() < 1e-27 * p.mass.sum() * 9.81 * D
+    assert np.abs(p.position[np.argsort(p.id)] - before).max() < 1e-12 * D
 
 
-EXTREMES = [dict(stiffness=1e2), dict(stiffness=1e8), dict(density=0.1), dict(density=2e4), dict(diameter=1e-6),
-            dict(diameter=0.1), dict(restitution=0.01), dict(restitution=1.0), dict(friction=0.0), dict(friction=10.0)]
+EXTREMES = [{"stiffness": 1e2}, {"stiffness": 1e8}, {"density": 0.1}, {"density": 2e4}, {"diameter": 1e-6},
+            {"diameter": 0.1}, {"restitution": 0.01}, {"restitution": 1.0}, {"friction": 0.0}, {"friction": 10.0}]
 
 
 @pytest.mark.parametrize("change", EXTREMES)
@@ -253,7 +253,7 @@ def test_extreme_numbers(change):
 
 
 def test_overlap_at_the_start_parts_and_coincident_particles_are_an_error():
-    mesh, tags = fe_el.box((0.02,) * 3, (2, 2, 2))
+    mesh, _ = fe_el.box((0.02,) * 3, (2, 2, 2))
     p = fe_el.Particles(mesh, RHO)
     p.insert_at([[0.01, 0.01, 0.01], [0.01 + 0.9 * D, 0.01, 0.01]], D)
     c = fe_el.Contacts(p, fe_el.LinearSpringDashpot(500.0, 0.5, 0.3))
@@ -267,7 +267,7 @@ def test_overlap_at_the_start_parts_and_coincident_particles_are_an_error():
 
 
 def test_a_particle_too_fast_for_its_step_is_an_error_with_the_remedy():
-    mesh, tags = fe_el.box((1.0,) * 3, (2, 2, 2))
+    mesh, _ = fe_el.box((1.0,) * 3, (2, 2, 2))
     p = fe_el.Particles(mesh, RHO)
     p.insert_at([[0.5, 0.5, 0.5]], 1e-3, velocity=(1e4, 0, 0))
     with pytest.raises(FloatingPointError, match="stiffer|Use a step below"):

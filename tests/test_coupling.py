@@ -77,7 +77,6 @@ def test_result_does_not_depend_on_ranks_or_order():
     mixed = heights(fluidised(steps=100, order=order)[0], order)
     assert np.abs(plain - mixed).max() < 1e-10
     if MPI.COMM_WORLD.size > 1:
-        import json, subprocess, sys
         from pathlib import Path
         stored = Path(__file__).parent / "__pycache__" / "heights.npy"
         MPI.COMM_WORLD.barrier()

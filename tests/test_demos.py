@@ -3,7 +3,15 @@ import json
 
 import pytest
 
-from demos import error_against_run_time, fluidised_bed, sedimenting_suspension, time_scales
+from demos import (
+    contact_speed,
+    contacts_only,
+    error_against_run_time,
+    fluidised_bed,
+    own_weak_form,
+    sedimenting_suspension,
+    time_scales,
+)
 
 
 @pytest.mark.ranks
@@ -73,3 +81,25 @@ def test_error_against_run_time(folder):
     assert summary["drift_over_weight_conservative"] < 1e-12
     with open(folder + "/error_against_run_time.csv") as file:
         assert len(file.readlines()) == 5
+
+
+@pytest.mark.ranks
+def test_silo(folder):
+    """The silo loses beads through its slot only, and their mass is accounted for."""
+    summary = contacts_only.main(diameter=4e-3, particles=500, settle_time=0.1, end_time=0.25, output=folder, progress=False)
+    assert summary["lost_particles"] == 0 and summary["left_particles"] > 20 and summary["mass_balance"] < 1e-12
+    assert summary["largest_overlap_over_diameter"] < 0.1
+
+
+def test_contact_speed(folder):
+    summary = contact_speed.main(tiles=(1,), steps=20, settle_steps=200, output=folder, progress=False)
+    assert summary["nanoseconds_per_particle_step_1000"] > 0 and summary["neighbours_per_particle_1000"] > 1
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_own_weak_form(folder, dimension):
+    """A fluid of the user's own exchanges momentum with the beads to round-off as well."""
+    summary = own_weak_form.main(dimension, cells=3, particles=60, end_time=4e-3, output=folder, progress=False)
+    assert summary["momentum_imbalance"] < 1e-12 and summary["solid_volume_error"] < 1e-12
+    assert -9.81 * 4e-3 < summary["mean_velocity"] < 0  # held up by the gas, but falling

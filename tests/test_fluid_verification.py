@@ -17,7 +17,7 @@ def periodic_vortex(n, dt, end, viscosity=0.01, drift=(1.0, 0.5), order=2):
         a, b, fade = x[:, 0] - drift[0] * t, x[:, 1] - drift[1] * t, np.exp(-2 * viscosity * t)
         return np.column_stack([drift[0] + np.sin(a) * np.cos(b) * fade, drift[1] - np.cos(a) * np.sin(b) * fade])
     air.set_initial_velocity(exact)
-    for _ in range(int(round(end / dt))):
+    for _ in range(round(end / dt)):
         air.advance(dt)
     q = air.velocity.x.array.reshape(-1, 2)[:air.num_cells]
     return air, np.sqrt(air.volume @ ((q - exact(air.time, air.corner.mean(1))) ** 2).sum(1) / air.volume.sum())
@@ -163,7 +163,7 @@ def brinkman_error(ratio, n, dt_beta=0.2):
 
 @pytest.mark.parametrize("ratio", [1e-1, 1e-2])
 def test_brinkman_layer_is_at_least_first_order(ratio):
-    errors = [brinkman_error(ratio, n)[0] for n in (16, 32)]
+    errors = [brinkman_error(ratio, n)[0] for n in (32, 64)]
     assert errors[1] < 0.6 * errors[0] and errors[1] < 0.1
 
 

@@ -171,7 +171,7 @@ def test_slip_of_a_uniform_suspension(reference, law, column):
 @pytest.mark.parametrize("scheme", ["implicit", "split", "void_cells_explicit"])
 def test_the_papers_schemes_drift(folder, scheme):
     """Eq. 8 and its variants lose momentum where the conservative scheme keeps it to round-off (paper, S9)."""
-    common = dict(box=(24.0, 24.0, 24.0), cells=(4, 4, 4), dt_star=0.4375, end_time=0.01, output=folder, progress=False)
+    common = {"box": (24.0, 24.0, 24.0), "cells": (4, 4, 4), "dt_star": 0.4375, "end_time": 0.01, "output": folder, "progress": False}
     kept = main(coupling="conservative", **common)
     lost = main(coupling=scheme, **common)
     assert kept["drift_over_weight"] < 1e-12 and lost["drift_over_weight"] > 1e-6

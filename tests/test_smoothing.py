@@ -1,7 +1,6 @@
 """Smoothing and mapping: integrals, self-adjointness, the Yukawa profile, linear fields."""
 import numpy as np
 import pytest
-from mpi4py import MPI
 
 import fe_el
 from fe_el.coupling import mapping

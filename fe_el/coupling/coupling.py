@@ -7,10 +7,11 @@ from mpi4py import MPI
 
 from fe_el.coupling import mapping as _mapping
 from fe_el.coupling.fields import CellMean, PressureGradientMean, ViscousStressMean
-from fe_el.coupling.forces import FORCES, Buoyancy, Drag, PressureGradient, ViscousStress
+from fe_el.coupling.forces import FORCES
 from fe_el.coupling.over_filled import Spill
 from fe_el.coupling.schemes import Exchange, scheme_of
 from fe_el.coupling.smoothing import FixedValues
+from fe_el.exchange import raise_everywhere
 
 
 class Coupling:
@@ -146,11 +147,13 @@ class Coupling:
             sums = self._gather(self._on_cells(self._to_cells(np.column_stack([p.volume, p.volume / p.primary_diameter]))))
             sauter = sums[:, 0] / sums[:, 1]
         beta = self.drag.coefficient(solid, slip, p.primary_diameter, self.density, self.viscosity, sauter)
-        if len(beta) and not (np.isfinite(beta).all() and beta.min() >= 0):
-            i = int(np.flatnonzero(~(np.isfinite(beta) & (beta >= 0)))[0])
-            raise FloatingPointError(f"The drag law gave {beta[i]:g} for particle {p.id[i]} at solid fraction {solid[i]:g} and "
-                                     f"slip {slip[i]:g} m/s (step {p.step}, rank {self.comm.rank}); it must be finite "
-                                     "and not negative. Check the law's range or use larger cells.")
+        bad, message = np.flatnonzero(~(np.isfinite(beta) & (beta >= 0))), None
+        if len(bad):
+            i = bad[0]
+            message = (f"The drag law gave {beta[i]:g} for particle {p.id[i]} at solid fraction {solid[i]:g} and slip "
+                       f"{slip[i]:g} m/s (step {p.step}, rank {self.comm.rank}); it must be finite and not negative. Check the "
+                       "law's range or use larger cells.")
+        raise_everywhere(self.comm, FloatingPointError, message)
         return beta
 
     def _acceleration(self):

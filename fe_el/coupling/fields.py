@@ -1,7 +1,8 @@
 """Cell means of a fluid's fields: from its own Functions, whatever their elements."""
 import numpy as np
 import ufl
-from dolfinx import fem, mesh as dmesh
+from dolfinx import fem
+from dolfinx import mesh as dmesh
 
 from fe_el.coupling.smoothing import Nodes
 

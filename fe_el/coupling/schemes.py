@@ -3,7 +3,8 @@
 A scheme sees the particles' side as arrays (:class:`Exchange`) and a linear map from particles to cell densities. It returns
 A and B, and the force on the particles once the fluid's new velocity is known. The fluid does not know which scheme it is.
 """
-from typing import Callable, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 

@@ -4,10 +4,10 @@ from dolfinx import fem
 from numba import njit
 from scipy.sparse import csr_matrix
 
+from fe_el.checks import require_positive
 from fe_el.exchange import Halo
 from fe_el.fluid.linear_solver import ElementMatrix
 from fe_el.mesh import barycentric_maps, owned_corners
-from fe_el.particles.insertion import require_positive
 
 
 @njit(cache=True)

@@ -53,3 +53,81 @@ def velocity_at(value, time, position, dimension):
     if not np.isfinite(v).all():
         raise ValueError(f"The boundary velocity at time {time:g} is not finite; give finite numbers [m/s].")
     return v
+
+
+class Boundaries:
+    """Boundary conditions of a fluid on tagged facets: what is set, and the values at its nodes at each step."""
+
+    def boundary(self, group):
+        """Facets and nodes of a boundary group."""
+        if self.facet_tags is None:
+            raise ValueError(f"Boundary group {group} was named, but no facet_tags were given; pass facet_tags=.")
+        return BoundaryFacets(self.mesh, self.facet_tags, group, self.dofs, self.corner, self.gradient, self.volume,
+                              self.node_halo, self.nodes)
+
+    def set_velocity(self, group, value):
+        """Superficial velocity on an inlet: d numbers, or a function (time, position (points, 3)) -> (points, d)."""
+        facets = self.boundary(group)
+        velocity_at(value, 0.0, facets.centre, self.dimension)
+        self.inlets.append((facets, value))
+        self.ready = False
+
+    def set_pressure(self, group, value=0.0):
+        """Pressure on an outlet [Pa]: a number or a function of time. Fluid may enter there without bringing energy."""
+        if not callable(value) and not np.isfinite(value):
+            raise ValueError(f"The pressure is {value}; it must be finite [Pa].")
+        self.outlets.append((self.boundary(group), value))
+        self.ready = False
+
+    def set_no_slip(self, group):
+        """No-slip wall."""
+        self.no_slip.append(self.boundary(group))
+        self.ready = False
+
+    def set_slip(self, group):
+        """Slip wall: no flow through it and no friction."""
+        facets = self.boundary(group)
+        normal = np.zeros((self.nodes, self.dimension))
+        np.add.at(normal, facets.facet_nodes, facets.area_normal[:, None])
+        self.node_halo.forward(self.node_halo.reverse_add(normal))
+        length = np.linalg.norm(normal, axis=1)
+        self.slip.append((facets.nodes, (normal / np.maximum(length, 1e-300)[:, None])[facets.nodes]))
+
+    def check_inflow(self):
+        """Raise ``ValueError`` if a domain without outlet is given a net inflow."""
+        flux = [velocity_at(v, 0.0, f.centre, self.dimension) * f.area_normal for f, v in self.inlets]
+        net = self.comm.allreduce(sum(float(f.sum()) for f in flux))
+        total = self.comm.allreduce(sum(float(np.abs(f).sum()) for f in flux))
+        if abs(net) > 1e-9 * max(total, 1e-300):
+            raise ValueError(f"The inlets let {-net:g} m^3/s into a domain without outlet; add set_pressure(group).")
+
+    def set_boundary_values(self, phi):
+        """Interstitial velocities of the fixed nodes at the new time; walls win over inlets."""
+        d = self.dimension
+        for facets, value in self.inlets:
+            void, number = self.nodal_zeros(()), self.nodal_zeros(())
+            np.add.at(void, facets.facet_nodes, phi[facets.cell][:, None])
+            np.add.at(number, facets.facet_nodes, 1.0)
+            self.complete(void, number)
+            k = facets.nodes
+            self.boundary_velocity[k] = velocity_at(value, self.time, self.node_position[k], d) * (number[k] / void[k])[:, None]
+        for facets in self.no_slip:
+            self.boundary_velocity[facets.nodes] = 0.0
+
+    def impose(self, u):
+        """Give the fixed nodes their velocities, and take the normal part from slip walls, in place."""
+        for nodes, normal in self.slip:
+            u[nodes] -= normal * (u[nodes] * normal).sum(1)[:, None]
+        u[self.fixed] = self.boundary_velocity[self.fixed]
+
+    def boundary_force(self, group):
+        """Force of the fluid on a no-slip boundary group, by pressure and by shear: two arrays (d,) [N].
+
+        The shear is what the nodes of the wall need to keep their velocity, so the two balance the fluid's momentum exactly.
+        Call it after :meth:`advance`. Nodes that two groups share count for both.
+        """
+        facets, d, own = self.boundary(group), self.dimension, self.owned_nodes
+        p = self.pressure.x.array[facets.facet_nodes].mean(1) if len(facets.cell) else np.zeros(0)
+        pressure = (p[:, None] * facets.area_normal).sum(0).reshape(d)
+        nodes = facets.nodes[facets.nodes < own]
+        return self.comm.allreduce(pressure), self.comm.allreduce(-self.reaction[nodes].sum(0))

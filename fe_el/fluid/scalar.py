@@ -4,9 +4,9 @@ import time
 import numpy as np
 from dolfinx import fem
 
+from fe_el.checks import require_positive
 from fe_el.fluid import kernels
 from fe_el.fluid.linear_solver import ElementMatrix, LinearSolver
-from fe_el.particles.insertion import require_positive
 
 
 class Scalar:

@@ -1,7 +1,7 @@
 """Eddy viscosities of large-eddy simulation, from the cell-wise gradient of the nodal velocity."""
 import numpy as np
 
-from fe_el.particles.insertion import require_positive
+from fe_el.checks import require_positive
 
 
 def velocity_gradient(fluid, u):

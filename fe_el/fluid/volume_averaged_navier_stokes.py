@@ -7,14 +7,14 @@ from mpi4py import MPI
 
 from fe_el.exchange import Halo
 from fe_el.fluid import kernels
-from fe_el.fluid.boundary_conditions import BoundaryFacets, velocity_at
+from fe_el.fluid.boundary_conditions import Boundaries, velocity_at
 from fe_el.fluid.linear_solver import ElementMatrix, LinearSolver
 from fe_el.mesh import barycentric_maps, check_simplices, owned_corners
 
 START_STEPS = 2  # implicit Euler steps that damp a start which does not fit its boundary conditions
 
 
-class VolumeAveragedNavierStokes:
+class VolumeAveragedNavierStokes(Boundaries):
     """Flow of a fluid through the void fraction phi left by particles (model A).
 
         d(rho phi)/dt + div(rho phi u) = 0
@@ -82,48 +82,11 @@ class VolumeAveragedNavierStokes:
             raise ValueError(f"time_order is {time_order}; it must be 1 or 2.")
         self.turbulence, self.time_order = turbulence, time_order
         self.mean_pressure_gradient, self.stress_of_mixture = mean.copy(), bool(stress_of_mixture)
-        self._poisson, self._last_flux = None, None
+        self.ready, self._last_flux = False, None
         self.body_force = self.mass_source = None
         self.node_position = np.zeros((self.nodes, 3))
         self.node_position[self.dofs] = self.corner
         self.node_halo.forward(self.node_position)
-
-    # -- boundary conditions -----------------------------------------------------------------------------------------
-
-    def boundary(self, group):
-        """Facets and nodes of a boundary group."""
-        if self.facet_tags is None:
-            raise ValueError(f"Boundary group {group} was named, but no facet_tags were given; pass facet_tags=.")
-        return BoundaryFacets(self.mesh, self.facet_tags, group, self.dofs, self.corner, self.gradient, self.volume,
-                              self.node_halo, self.nodes)
-
-    def set_velocity(self, group, value):
-        """Superficial velocity on an inlet: d numbers, or a function (time, position (points, 3)) -> (points, d)."""
-        facets = self.boundary(group)
-        velocity_at(value, 0.0, facets.centre, self.dimension)
-        self.inlets.append((facets, value))
-        self._poisson = None
-
-    def set_pressure(self, group, value=0.0):
-        """Pressure on an outlet [Pa]: a number or a function of time. Fluid may enter there without bringing energy."""
-        if not callable(value) and not np.isfinite(value):
-            raise ValueError(f"The pressure is {value}; it must be finite [Pa].")
-        self.outlets.append((self.boundary(group), value))
-        self._poisson = None
-
-    def set_no_slip(self, group):
-        """No-slip wall."""
-        self.no_slip.append(self.boundary(group))
-        self._poisson = None
-
-    def set_slip(self, group):
-        """Slip wall: no flow through it and no friction."""
-        facets = self.boundary(group)
-        normal = np.zeros((self.nodes, self.dimension))
-        np.add.at(normal, facets.facet_nodes, facets.area_normal[:, None])
-        self.node_halo.forward(self.node_halo.reverse_add(normal))
-        length = np.linalg.norm(normal, axis=1)
-        self.slip.append((facets.nodes, (normal / np.maximum(length, 1e-300)[:, None])[facets.nodes]))
 
     def set_initial_velocity(self, value):
         """Interstitial velocity at the start: d numbers, or a function (time, position) as for inlets."""
@@ -134,6 +97,7 @@ class VolumeAveragedNavierStokes:
 
     def _setup(self):
         """Matrices, solvers and fixed nodes, once the boundary conditions are known."""
+        self.ready = True
         self._poisson = ElementMatrix(self.space, self.dofs)
         self._transport = ElementMatrix(self.space, self.dofs)
         closed = not self.outlets
@@ -145,13 +109,8 @@ class VolumeAveragedNavierStokes:
         for facets, _ in self.outlets:
             self.fixed_pressure[facets.nodes] = True
         self.boundary_velocity = np.zeros((self.nodes, self.dimension))
-        if closed and self.inlets:
-            flux = self.comm.allreduce(sum(float((velocity_at(v, 0.0, f.centre, self.dimension) * f.area_normal).sum())
-                                           for f, v in self.inlets))
-            total = self.comm.allreduce(sum(float(np.abs(velocity_at(v, 0.0, f.centre, self.dimension) * f.area_normal)
-                                                  .sum()) for f, v in self.inlets))
-            if abs(flux) > 1e-9 * max(total, 1e-300):
-                raise ValueError(f"The inlets let {-flux:g} m^3/s into a domain without outlet; add set_pressure(group).")
+        if closed:
+            self.check_inflow()
 
     def at_cells(self, value, shape):
         """Values (cells, ...) of a constant, an array, or a function (time, cell centres (cells, 3))."""
@@ -179,7 +138,7 @@ class VolumeAveragedNavierStokes:
         if not (dt > 0 and np.isfinite(dt)):
             raise ValueError(f"The time step is {dt}; it must be finite and greater than zero [s].")
         tick = time.perf_counter()
-        if self._poisson is None:
+        if not self.ready:
             self._setup()
         n, d = self.num_cells, self.dimension
         if fields is None:
@@ -196,7 +155,7 @@ class VolumeAveragedNavierStokes:
         self.rate = (phi - phi0) / dt
         self.time, self.step = self.time + dt, self.step + 1
         u = self._relax(dt, phi0, q)
-        self._boundary_values(phi)
+        self.set_boundary_values(phi)
         nodal = self._transport_step(dt, phi, rate0, flux, u)
         transported = self._fade(dt, phi0, phi, q, u)
         self._exchange(dt, phi, drag, source, nodal, transported)
@@ -212,7 +171,8 @@ class VolumeAveragedNavierStokes:
         part = 0.5 * dt / self.dt
         return (1 + part) * flux - part * last[0], (1 + part) * rate - part * last[1]
 
-    def _sum(self, shape):
+    def nodal_zeros(self, shape):
+        """Zeros (nodes, *shape)."""
         return np.zeros((self.nodes, *shape))
 
     def complete(self, *sums):
@@ -228,33 +188,15 @@ class VolumeAveragedNavierStokes:
         """
         d = self.dimension
         self.cell_mass0 = self.density * phi0 * self.volume
-        self.mass0, misfit, part = self._sum(()), self._sum((d,)), self._sum(())
-        start = self._sum((d,)) if self.nodal_velocity is None else self.nodal_velocity
+        self.mass0, misfit, part = self.nodal_zeros(()), self.nodal_zeros((d,)), self.nodal_zeros(())
+        start = self.nodal_zeros((d,)) if self.nodal_velocity is None else self.nodal_velocity
         kernels.mass_and_misfit(self.dofs, self.cell_mass0, q, start, self.h, self.viscosity / self.density, dt, self.mass0,
                                 misfit, part)
         self.complete(self.mass0, misfit, part)
         part = 1.0 if self.nodal_velocity is None else (part / self.mass0)[:, None]
         u = start + part * misfit / self.mass0[:, None]
-        self._impose(u)
+        self.impose(u)
         return u
-
-    def _boundary_values(self, phi):
-        """Interstitial velocities of the fixed nodes at the new time; walls win over inlets."""
-        d = self.dimension
-        for facets, value in self.inlets:
-            void, number = self._sum(()), self._sum(())
-            np.add.at(void, facets.facet_nodes, phi[facets.cell][:, None])
-            np.add.at(number, facets.facet_nodes, 1.0)
-            self.complete(void, number)
-            k = facets.nodes
-            self.boundary_velocity[k] = velocity_at(value, self.time, self.node_position[k], d) * (number[k] / void[k])[:, None]
-        for facets in self.no_slip:
-            self.boundary_velocity[facets.nodes] = 0.0
-
-    def _impose(self, u):
-        for nodes, normal in self.slip:
-            u[nodes] -= normal * (u[nodes] * normal).sum(1)[:, None]
-        u[self.fixed] = self.boundary_velocity[self.fixed]
 
     def _transport_step(self, dt, phi, rate0, flux, u):
         """Stage 2: convection and viscosity of the nodal velocity, implicit, skew-symmetric, conserving momentum."""
@@ -263,14 +205,14 @@ class VolumeAveragedNavierStokes:
         stress = self.viscosity * (np.ones_like(phi) if self.stress_of_mixture else phi)
         if self.turbulence is not None:
             stress = stress + self.density * phi * self.turbulence(self, u)
-        explicit = self._sum((d,))
+        explicit = self.nodal_zeros((d,))
         kernels.transport_matrix(self.dofs, self.gradient, self.volume, self.density, stress, dt, phi, rate0, flux,
                                  self.fixed_pressure, theta, u, values, explicit)
         self.node_halo.forward(self.node_halo.reverse_add(explicit))
         for facets, _ in self.outlets:
             kernels.open_boundary(facets.cell, facets.local, facets.area_normal, flux, values)
         rhs = self.mass0[:, None] * u / dt + self.force + explicit
-        elements, lift = values.copy(), self._sum((d,))
+        elements, lift = values.copy(), self.nodal_zeros((d,))
         kernels.fix_rows(self.dofs, self.fixed, values, lift, self.boundary_velocity)
         self.node_halo.reverse_add(lift)
         self._transport.assemble()
@@ -285,21 +227,21 @@ class VolumeAveragedNavierStokes:
         self.node_halo.forward(new)
         # one evaluation of the fluxes at the solution makes the balance exact whatever the solver's tolerance
         self.cell_mass = self.density * phi * self.volume
-        self.mass = self._sum(())
+        self.mass = self.nodal_zeros(())
         kernels.scatter(self.dofs, self.cell_mass[:, None], self.mass[:, None])
-        balance = self._sum((d,))
+        balance = self.nodal_zeros((d,))
         kernels.apply_elements(self.dofs, elements, new, balance)
         self.complete(self.mass, balance)
         exact = new + dt * (rhs + balance) / self.mass[:, None]
         exact[self.fixed] = new[self.fixed]
-        self._reaction = -rhs - balance  # at fixed nodes: what the wall adds per time to hold the velocity
-        self._impose(exact)
+        self.reaction = -rhs - balance  # at fixed nodes: what the wall adds per time to hold the velocity
+        self.impose(exact)
         return exact - dt * self.force / self.mass[:, None]
 
     def _fade(self, dt, phi0, phi, q, u):
         """What the nodes cannot represent fades at the rate of convection and viscosity; its momentum is kept."""
         d = self.dimension
-        kept, defect = np.empty_like(q), self._sum((d,))
+        kept, defect = np.empty_like(q), self.nodal_zeros((d,))
         kernels.memory(self.dofs, self.cell_mass0, self.cell_mass, q, u, self.h, dt, self.viscosity / self.density, kept,
                        defect)
         self.complete(defect)
@@ -309,19 +251,19 @@ class VolumeAveragedNavierStokes:
     def _exchange(self, dt, phi, drag, source, nodal, transported):
         """Stage 3: drag and pressure together; an exact projection with the drag on the diagonal."""
         n, d, own = self.num_cells, self.dimension, self.owned_nodes
-        q, diagonal, rhs = np.empty((n, d)), np.empty(n), self._sum(())
+        q, diagonal, rhs = np.empty((n, d)), np.empty(n), self.nodal_zeros(())
         body = self.density * self.gravity + self.mean_pressure_gradient
         body = np.broadcast_to(body, (n, d)) + (0.0 if self.body_force is None else self.at_cells(self.body_force, (n, d)))
         self.supply = self.rate - (0.0 if self.mass_source is None else self.at_cells(self.mass_source, (n,)))
         kernels.exchange_system(self.dofs, self.gradient, self.volume, self.density, dt, phi, self.supply, drag, source, body,
                                 nodal, self._correction, transported, q, diagonal, self._poisson.values, rhs)
-        self.inflow = self._sum(())
+        self.inflow = self.nodal_zeros(())
         for facets, value in self.inlets:
             flux = (velocity_at(value, self.time, facets.centre, d) * facets.area_normal).sum(1)
             np.add.at(self.inflow, facets.facet_nodes, -flux[:, None] / d)
         rhs += self.inflow
-        values, lift, p = self._poisson.values, self._sum((1,)), self.pressure.x.array
-        boundary = self._sum((1,))
+        values, lift, p = self._poisson.values, self.nodal_zeros((1,)), self.pressure.x.array
+        boundary = self.nodal_zeros((1,))
         for facets, value in self.outlets:
             boundary[facets.nodes, 0] = value(self.time) if callable(value) else value
         kernels.fix_rows(self.dofs, self.fixed_pressure, values, lift, boundary)
@@ -333,14 +275,14 @@ class VolumeAveragedNavierStokes:
         rhs[:own][fixed] = (self._poisson.matrix.getDiagonal().array * boundary[:own, 0])[fixed]
         p[:own] = self.pressure_solver.solve(rhs[:own], p[:own])
         self.pressure.x.scatter_forward()
-        change = self._sum((d,))
+        change = self.nodal_zeros((d,))
         kernels.pressure_step(self.dofs, self.gradient, self.volume, self.density, dt, phi, diagonal, p, transported, q,
                               change)
         self.complete(change)
         self.velocity.x.array.reshape(-1, d)[:n] = q
         self.velocity.x.scatter_forward()
         self.nodal_velocity = nodal + dt * change / self.mass[:, None]
-        self._impose(self.nodal_velocity)
+        self.impose(self.nodal_velocity)
         self.force = change
 
     # -- ledger ------------------------------------------------------------------------------------------------------
@@ -348,7 +290,7 @@ class VolumeAveragedNavierStokes:
     def mass_residual(self):
         """Largest nodal residual of continuity over the largest flux through a node (outlets left out)."""
         d = self.dimension
-        residual, scale = self._sum(()), self._sum(())
+        residual, scale = self.nodal_zeros(()), self.nodal_zeros(())
         q = self.velocity.x.array.reshape(-1, d)[:self.num_cells]
         kernels.mass_balance(self.dofs, self.gradient, self.volume, self.void_fraction, self.supply, q, residual, scale)
         residual += self.inflow
@@ -356,18 +298,6 @@ class VolumeAveragedNavierStokes:
         residual[self.fixed_pressure] = 0.0
         largest = self.comm.allreduce(np.abs(residual).max(initial=0.0), op=MPI.MAX)
         return largest / max(self.comm.allreduce(scale.max(initial=0.0), op=MPI.MAX), 1e-300)
-
-    def boundary_force(self, group):
-        """Force of the fluid on a no-slip boundary group, by pressure and by shear: two arrays (d,) [N].
-
-        The shear is what the nodes of the wall need to keep their velocity, so the two balance the fluid's momentum exactly.
-        Call it after :meth:`advance`. Nodes that two groups share count for both.
-        """
-        facets, d, own = self.boundary(group), self.dimension, self.owned_nodes
-        p = self.pressure.x.array[facets.facet_nodes].mean(1) if len(facets.cell) else np.zeros(0)
-        pressure = (p[:, None] * facets.area_normal).sum(0).reshape(d)
-        nodes = facets.nodes[facets.nodes < own]
-        return self.comm.allreduce(pressure), self.comm.allreduce(-self._reaction[nodes].sum(0))
 
     def momentum(self):
         """Total fluid momentum (d,) [kg m/s]."""

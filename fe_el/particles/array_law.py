@@ -1,7 +1,7 @@
 """Contact laws that are plain array functions of the user's."""
 import numpy as np
 
-from fe_el.particles.insertion import require_positive
+from fe_el.checks import require_positive
 from fe_el.particles.pair_forces import scatter_arrays, touching_pairs
 
 
@@ -21,7 +21,8 @@ class ArrayLaw:
 
     def __init__(self, function, contact_time):
         if not callable(function):
-            raise ValueError(f"The contact law is {function!r}; pass a function of arrays.")
+            raise ValueError(  # noqa: TRY004
+                f"The contact law is {function!r}; pass a function of arrays.")
         require_positive("contact time", contact_time)
         self.function, self._contact_time = function, float(contact_time)
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fe_el.particles.insertion import require_positive
+from fe_el.checks import require_positive
 
 
 class LawNumbers(NamedTuple):

@@ -3,7 +3,8 @@ import numpy as np
 
 from fe_el import mesh as _mesh
 from fe_el.exchange import largest_of, move
-from fe_el.particles import neighbours, walls as _walls
+from fe_el.particles import neighbours
+from fe_el.particles import walls as _walls
 from fe_el.particles.ghosts import Ghosts
 from fe_el.particles.wall_shapes import FACETS, shape_list
 

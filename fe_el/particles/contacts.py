@@ -5,10 +5,10 @@ import time
 import numpy as np
 from mpi4py import MPI
 
-from fe_el.exchange import largest_of
+from fe_el.checks import require_positive
+from fe_el.exchange import largest_of, raise_everywhere
 from fe_el.particles import contact_lists, motion
 from fe_el.particles.array_law import ArrayLaw, array_forces
-from fe_el.particles.insertion import require_positive
 from fe_el.particles.law_kernels import new_block
 from fe_el.particles.pair_forces import pair_forces
 from fe_el.particles.particles import LostParticle
@@ -58,7 +58,7 @@ class Contacts:
         self.lists = contact_lists.ContactLists(particles, self.walls, skin, self._spring_width())
         self.block, self.step, self.layout = new_block(), 1, None
         self.seconds = {"neighbours": 0.0, "contacts": 0.0}
-        self.touching, self.largest_overlap, self.steps_last = 0, 0.0, 0
+        self.touching, self.largest_overlap, self.steps_last, self.behind = 0, 0.0, 0, None
 
     def _spring_width(self):
         rolls = max(getattr(law, "rolls", 0) for law in (self.law, self.wall_law))
@@ -148,6 +148,7 @@ class Contacts:
                 moved = p.comm.allreduce(moved, op=MPI.MAX)
             if not math.sqrt(moved) + wall_speed * h * lists.age <= 0.5 * lists.skin:
                 break
+        self._check_behind()
         self._check_finite(x[:n], force[:n])
         motion.kick(v, w, force, torque, lists.inverse_mass, inverse_inertia, 0.5 * h, n)
         p.position, p.velocity, p.angular_velocity = x[:n].copy(), v[:n].copy(), w[:n].copy()
@@ -172,9 +173,7 @@ class Contacts:
             message = (f"The contact force on particle {p.id[i]} near {p.position[i].tolist()} is {force[i].tolist()} (step "
                        f"{p.step}, rank {p.comm.rank}). Either two particles lie on one point, or the step is too large for the "
                        "law: insert without overlap, or use more steps_per_contact.")
-        messages = [m for m in p.comm.allgather(message) if m] if p.comm.size > 1 else [message] * (message is not None)
-        if messages:
-            raise FloatingPointError(messages[0])
+        raise_everywhere(p.comm, FloatingPointError, message)
 
     def _forces(self, x, v, w, force, torque, h):
         """Pair and wall forces at one instant, added to ``force`` and ``torque``."""
@@ -202,9 +201,16 @@ class Contacts:
         self.largest_overlap = max(self.largest_overlap, deepest[0])
 
     def _count(self, contacts):
+        self.touching += max(contacts, 0)
         if contacts < 0:
-            p, i = self.particles, -1 - contacts
-            raise LostParticle(f"The centre of particle {p.id[i]} went onto or behind a wall near {p.position[i].tolist()} "
-                               f"(step {p.step}, rank {p.comm.rank}): the overlap reached its radius. Use a stiffer contact "
-                               "law, or a smaller step.")
-        self.touching += contacts
+            self.behind = -1 - contacts
+
+    def _check_behind(self):
+        """Stop if a particle's centre came onto or behind a wall in the last sub-steps."""
+        p, message = self.particles, None
+        if self.behind is not None:
+            i = self.behind
+            message = (f"The centre of particle {p.id[i]} went onto or behind a wall near {p.position[i].tolist()} "
+                       f"(step {p.step}, rank {p.comm.rank}): the overlap reached its radius. Use a stiffer contact "
+                       "law, or a smaller step.")
+        raise_everywhere(p.comm, LostParticle, message)

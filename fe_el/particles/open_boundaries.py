@@ -3,8 +3,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fe_el import mesh as _mesh
-from fe_el.particles import insertion
-from fe_el.particles.walls import nearest_point
+from fe_el.checks import require_positive
+from fe_el.particles.walls import facet_balls, nearest_point
 
 
 class OpenBoundaries:
@@ -55,9 +55,9 @@ class Inlet:
     """
 
     def __init__(self, particles, facet_tags, group, mass_rate, diameter, velocity, density=None, seed=0, tries=100, **kind):
-        insertion.require_positive("mass rate", mass_rate)
+        require_positive("mass rate", mass_rate)
         if not callable(diameter):
-            insertion.require_positive("diameter", diameter)
+            require_positive("diameter", diameter)
         self.particles, self.mass_rate, self.diameter, self.tries, self.kind = particles, float(mass_rate), diameter, tries, kind
         self.density = particles.default_density if density is None else float(density)
         self.velocity = np.zeros(3)
@@ -69,6 +69,8 @@ class Inlet:
         self.area = np.linalg.norm(normal, axis=1)
         self.normal = normal / self.area[:, None]
         self._inwards()
+        every, chosen = _mesh.exterior_facets(particles.mesh, facet_tags, _mesh.require_groups(particles.mesh, facet_tags, group))
+        self.others, self.balls = every[~chosen], facet_balls(every[~chosen]) if not chosen.all() else np.zeros((0, 7))
         self.generator = np.random.default_rng(seed)
         self.inserted, self.waiting, self.next = 0, 0.0, None
 
@@ -82,7 +84,7 @@ class Inlet:
     def _draw_diameter(self):
         if callable(self.diameter):
             d = float(np.ravel(self.diameter(self.generator, 1))[0])
-            insertion.require_positive("diameter", d)
+            require_positive("diameter", d)
             return d
         choices = np.ravel(self.diameter)
         return float(choices[self.generator.integers(len(choices))])
@@ -129,6 +131,15 @@ class Inlet:
             x = weight @ self.corner[f] + depth * self.normal[f]
             if len(near) and (((near - x) ** 2).sum(1) < (radii + radius) ** 2).any():
                 continue
+            if self._touches_boundary(x, radius):
+                continue
             if self.particles.comm.allreduce(int((self.particles.search(x[None]) >= 0).any())):
                 return x
         return None
+
+    def _touches_boundary(self, x, radius):
+        """Whether a sphere at x reaches the boundary beside the inlet."""
+        gap = x - self.balls[:, :3]
+        close = np.flatnonzero(((gap ** 2).sum(1) < (radius + self.balls[:, 3]) ** 2)
+                               & (np.abs((gap * self.balls[:, 4:]).sum(1)) < radius))
+        return any(np.sum((np.array(nearest_point(self.others[f], *x)[:3]) - x) ** 2) < radius ** 2 for f in close)

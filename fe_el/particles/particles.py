@@ -2,7 +2,8 @@
 import numpy as np
 
 from fe_el import mesh as _mesh
-from fe_el.exchange import move
+from fe_el.checks import require_positive
+from fe_el.exchange import move, raise_everywhere
 from fe_el.particles import insertion, location
 from fe_el.particles.open_boundaries import OpenBoundaries
 
@@ -36,8 +37,8 @@ class Particles:
     """
 
     def __init__(self, mesh, density, gravity=(0.0, 0.0, 0.0), thickness=1.0):
-        insertion.require_positive("density", density)
-        insertion.require_positive("thickness", thickness)
+        require_positive("density", density)
+        require_positive("thickness", thickness)
         self.mesh, self.comm, self.default_density = mesh, mesh.comm, float(density)
         self.gravity = np.zeros(3)
         self.gravity[:len(gravity)] = gravity
@@ -107,7 +108,7 @@ class Particles:
         mine = np.flatnonzero(cell >= 0)
         new = {name: np.zeros((len(mine), *shape)) for name, shape in FIELDS.items()}
         new["position"], new["velocity"], new["diameter"] = x[mine], velocity[mine], diameter[mine]
-        insertion.require_positive("coarse graining", coarse_graining)
+        require_positive("coarse graining", coarse_graining)
         new["density"], new["coarse_graining"] = density[mine], np.broadcast_to(coarse_graining, len(x))[mine]
         for name in FIELDS:
             setattr(self, name, np.concatenate([getattr(self, name), new[name]]))
@@ -216,9 +217,7 @@ class Particles:
             message = (f"Particle {self.id[i]} is outside the mesh at {self.position[i].tolist()} with velocity "
                        f"{self.velocity[i].tolist()} (step {self.step}, rank {self.comm.rank}). Name the boundary it "
                        "crossed in walls=, use a smaller step, or a stiffer contact law.")
-        messages = [m for m in self.comm.allgather(message) if m]
-        if messages:
-            raise LostParticle(messages[0])
+        raise_everywhere(self.comm, LostParticle, message)
 
     def _migrate(self):
         """Send particles in halo cells to the owners of these cells."""
@@ -274,7 +273,7 @@ class Particles:
         Note:
             Collective.
         """
-        insertion.require_positive("time step", dt)
+        require_positive("time step", dt)
         self.step += 1
         if contacts is None:
             change = dt * (self.gravity + self.force / self.mass[:, None])
@@ -282,10 +281,11 @@ class Particles:
             self.velocity += change
         else:
             contacts.advance(dt)
-        if len(self) and not np.isfinite(self.velocity).all():
-            i = int(np.flatnonzero(~np.isfinite(self.velocity).all(1))[0])
-            raise FloatingPointError(f"Particle {self.id[i]} has velocity {self.velocity[i].tolist()} at step {self.step} "
-                                     f"on rank {self.comm.rank}. Use a smaller step or a softer contact law.")
+        bad, message = np.flatnonzero(~np.isfinite(self.velocity).all(1)), None
+        if len(bad):
+            message = (f"Particle {self.id[bad[0]]} has velocity {self.velocity[bad[0]].tolist()} at step {self.step} on rank "
+                       f"{self.comm.rank}. Use a smaller step or a softer contact law.")
+        raise_everywhere(self.comm, FloatingPointError, message)
         if contacts is None:
             self.locate()
 

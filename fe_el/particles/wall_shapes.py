@@ -2,7 +2,7 @@
 import numpy as np
 from numba import njit
 
-from fe_el.particles.insertion import require_positive
+from fe_el.checks import require_positive
 from fe_el.particles.law_kernels import BLOCK, FAST, constant_rows
 from fe_el.particles.walls import finish_block, gather_wall
 

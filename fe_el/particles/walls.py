@@ -4,7 +4,6 @@ A sphere touches the wall where its distance to the *surface* has a local minimu
 only if it is the nearest point of every facet that meets there, and counts once. So no seam between facets is ever felt,
 and concave and convex edges are right without special cases.
 """
-import math
 
 import numpy as np
 from numba import njit
