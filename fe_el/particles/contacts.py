@@ -135,7 +135,7 @@ class Contacts:
             moved = motion.kick_and_drift(x, v, w, force, torque, external, lists.inverse_mass, inverse_inertia, lists.x0,
                                           part, h, n)
             part, steps = 1.0, steps + 1
-            if lists.ghosts.number:
+            if lists.ghosts.busy:
                 lists.ghosts.forward_position(x)
                 for a in (v, w):
                     lists.ghosts.forward(a)

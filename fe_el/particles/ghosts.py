@@ -15,6 +15,7 @@ class Ghosts:
 
     Attributes:
         number: of ghosts on this rank; they follow the owned particles.
+        busy: whether this rank has ghosts, or another has ghosts of its particles.
     """
 
     def __init__(self, comm, position, reach, period=None):
@@ -37,6 +38,7 @@ class Ghosts:
         arrived = comm.alltoall(shifts)
         self.shift = np.concatenate(arrived)
         self.counts, self.number, self.owned = [len(a) for a in arrived], len(self.shift), n
+        self.busy = self.number > 0 or any(len(rows) for rows in self.send)
         ends = n + np.cumsum(self.counts)
         self.receive = [slice(e - c, e) for e, c in zip(ends, self.counts)]
 
