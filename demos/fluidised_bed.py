@@ -99,7 +99,7 @@ def main(superficial_velocity=1.3, end_time=1.0, time_step=1e-4, slice=1.0, drag
                               walls=(tags, (WALL, INLET)), steps_per_contact=steps_per_contact)
     air = coupling = None
     if superficial_velocity:
-        air = fe_el.VolumeAveragedNavierStokes(mesh, tags, GAS_DENSITY, GAS_VISCOSITY, gravity)
+        air = fe_el.VolumeAveragedNavierStokes(mesh, tags, GAS_DENSITY, GAS_VISCOSITY, gravity, tolerance=1e-9)
         air.set_velocity(INLET, (0, 0, superficial_velocity))
         air.set_pressure(OUTLET, 0.0)
         air.set_no_slip(WALL)

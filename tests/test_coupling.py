@@ -86,3 +86,44 @@ def test_result_does_not_depend_on_ranks_or_order():
         stored = Path(__file__).parent / "__pycache__" / "heights.npy"
         stored.parent.mkdir(exist_ok=True)
         np.save(stored, plain)
+
+
+@pytest.mark.ranks
+def test_a_sphere_falls_as_the_ordinary_differential_equation_says():
+    """One-way drag of Schiller and Naumann in a fluid at rest, with buoyancy: velocity and height against a fine integration."""
+    from scipy.integrate import solve_ivp
+    d, rho_p, rho, mu, g = 2e-4, 2500.0, 1000.0, 1e-3, 9.81
+    mesh, _ = fe_el.box((0.01, 0.01, 0.05), (2, 2, 10))
+    air = fe_el.VolumeAveragedNavierStokes(mesh, None, rho, mu)
+    p = fe_el.Particles(mesh, rho_p, (0, 0, -g))
+    p.insert_at([[0.005, 0.005, 0.045]], d)
+    c = fe_el.Coupling(p, air.velocity, air.pressure, rho, mu, [fe_el.Drag("schiller_naumann"), fe_el.Buoyancy()])
+
+    def slope(t, y):
+        f = 1 + 0.15 * (rho * abs(y[1]) * d / mu) ** 0.687
+        return y[1], -g * (1 - rho / rho_p) - 18 * mu * f / (rho_p * d ** 2) * y[1]
+    exact = solve_ivp(slope, (0, 0.1), (0.045, 0.0), rtol=1e-10, atol=1e-14).y[:, -1]
+    for _ in range(500):
+        c.to_fluid(2e-4)
+        c.to_particles(2e-4)
+        p.advance(2e-4)
+    z, v = p.comm.allreduce(p.position[:, 2].sum()), p.comm.allreduce(p.velocity[:, 2].sum())
+    assert v == pytest.approx(exact[1], rel=1e-3)  # the particle's own solid fraction counts a little in its cell
+    assert z == pytest.approx(exact[0], abs=2e-5)
+
+
+def test_a_dry_bed_only_loses_energy():
+    """Beads that settle: kinetic plus potential energy never grows from one record to the next, nothing of a fluid exists."""
+    mesh, tags = fe_el.box((0.02, 0.02, 0.04), (2, 2, 4))
+    p = fe_el.Particles(mesh, 2500.0, (0, 0, -9.81))
+    p.insert_on_lattice((0, 0, 0), (0.02, 0.02, 0.04), np.full(300, 2e-3), seed=2)
+    p.velocity[:] = np.random.default_rng(1).normal(size=(300, 3)) * 0.3
+    start = p.kinetic_energy()
+    c = fe_el.Contacts(p, fe_el.LinearSpringDashpot(2000.0, 0.7, 0.3), (tags, (1, 2, 3, 4, 5)))
+    energy = []
+    for _ in range(150):
+        p.advance(2e-3, c)
+        energy.append(p.kinetic_energy() + float(p.mass @ p.position[:, 2]) * 9.81)
+    rises = np.diff(energy)
+    assert rises.max() < 1e-3 * start  # springs give back at most what they hold
+    assert energy[-1] < energy[0] - 0.9 * start and p.kinetic_energy() < 1e-6 * start

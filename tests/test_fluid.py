@@ -75,3 +75,16 @@ def test_bad_input_is_refused():
         air.advance(-0.1)
     with pytest.raises(ValueError, match="velocity"):
         air.set_velocity(1, (0.0, np.nan))
+
+
+@pytest.mark.ranks
+def test_a_lid_may_slide_over_a_closed_box_but_nothing_may_flow_in():
+    mesh, tags = fe_el.box((1.0, 1.0), (4, 4))
+    for velocity, fails in (((1.0, 0.0), False), ((1.0, -1e-3), True)):
+        air = fe_el.VolumeAveragedNavierStokes(mesh, tags)
+        air.set_velocity(4, velocity)
+        if fails:
+            with pytest.raises(ValueError, match="without outlet"):
+                air.advance(0.1)
+        else:
+            air.advance(0.1)

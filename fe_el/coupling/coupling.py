@@ -81,6 +81,7 @@ class Coupling:
         self.seconds = {"mapping": 0.0, "drag": 0.0}
         if smoothing is not None:
             self.seconds["smoothing"] = 0.0
+        self._kept = None
         self.over_filled, self.over_filled_total, self.solid_volume_error = 0, 0, 0.0
         self.momentum_imbalance, self.max_solid_fraction = 0.0, 0.0
 
@@ -121,7 +122,7 @@ class Coupling:
         """A and B from the drag of each particle over the coming step."""
         p, d = self.particles, self.dimension
         cell_velocity = self.velocity_mean()
-        smooth = self._back(cell_velocity)
+        smooth = self._old_velocity(cell_velocity)
         mean = self._gather(smooth)
         offset = np.zeros_like(mean)
         if self.linear is not None:
@@ -188,14 +189,16 @@ class Coupling:
         a, b = self.fields[1].x.array[:len(volume), None], self.fields[2].x.array.reshape(-1, d)[:len(volume)]
         u = self.velocity_mean()
         received = (volume * (b - a * u)).sum(0)
+        slope = self.gradient_mean() if self.pressure_force is not None else np.zeros((len(volume), 0))
+        back = self._back(np.hstack([u, slope]))
+        self._kept = (u.copy(), back[:, :d]) if not self.spill.moves else None
+        at_particles = self._gather(back)
         if self.drag is not None:
-            force += self.scheme.force(self._gather(self._back(u)))
+            force += self.scheme.force(at_particles[:, :d])
         if self.pressure_force is not None:
-            slope = self.gradient_mean()
-            at_particles = self._gather(self._back(slope))
-            force -= p.volume[:, None] * at_particles
+            force -= p.volume[:, None] * at_particles[:, d:]
             received += (volume * (1 - self.fields[0].x.array[:len(volume), None]) * slope).sum(0)
-            p.properties["_pressure_gradient"] = at_particles
+            p.properties["_pressure_gradient"] = at_particles[:, d:].copy()
         given, received = self.comm.allreduce(force.sum(0)), self.comm.allreduce(received)
         p.force = np.zeros((len(p), 3))
         p.force[:, :d] = force + self._steady_force()
@@ -248,6 +251,15 @@ class Coupling:
         """Owned cell values made ready for particles: spilled back, then smoothed; the transpose of :meth:`_to_cells`."""
         out = self.spill.transpose(self._on_cells(field))
         return out if self.smoothing is None else self._on_cells(self._smooth(out[:len(field)]))
+
+    def _old_velocity(self, velocity):
+        """The cell velocity made ready for particles; what the last step smoothed serves again if nothing was spilled."""
+        if self._kept is None or self.spill.moves:
+            return self._back(velocity)
+        same = np.array_equal(self._kept[0], velocity) and len(self._kept[1]) == len(self.particles.cells.volume)
+        if self.comm.allreduce(int(same)) < self.comm.size:
+            return self._back(velocity)
+        return np.ascontiguousarray(self._kept[1])
 
     def _on_cells(self, owned):
         """Owned cell values continued to the halo."""

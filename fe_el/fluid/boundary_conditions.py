@@ -95,9 +95,9 @@ class Boundaries:
 
     def check_inflow(self):
         """Raise ``ValueError`` if a domain without outlet is given a net inflow."""
-        flux = [velocity_at(v, 0.0, f.centre, self.dimension) * f.area_normal for f, v in self.inlets]
-        net = self.comm.allreduce(sum(float(f.sum()) for f in flux))
-        total = self.comm.allreduce(sum(float(np.abs(f).sum()) for f in flux))
+        values = [(velocity_at(v, 0.0, f.centre, self.dimension), f.area_normal) for f, v in self.inlets]
+        net = self.comm.allreduce(sum(float((v * n).sum()) for v, n in values))
+        total = self.comm.allreduce(sum(float(np.linalg.norm(v, axis=1) @ np.linalg.norm(n, axis=1)) for v, n in values))
         if abs(net) > 1e-9 * max(total, 1e-300):
             raise ValueError(f"The inlets let {-net:g} m^3/s into a domain without outlet; add set_pressure(group).")
 
