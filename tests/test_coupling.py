@@ -119,11 +119,11 @@ def test_a_dry_bed_only_loses_energy():
     p.insert_on_lattice((0, 0, 0), (0.02, 0.02, 0.04), np.full(300, 2e-3), seed=2)
     p.velocity[:] = np.random.default_rng(1).normal(size=(300, 3)) * 0.3
     start = p.kinetic_energy()
-    c = fe_el.Contacts(p, fe_el.LinearSpringDashpot(2000.0, 0.7, 0.3), (tags, (1, 2, 3, 4, 5)))
+    c = fe_el.Contacts(p, fe_el.LinearSpringDashpot(2000.0, 0.7, 0.3), (tags, (1, 2, 3, 4, 5, 6)))
     energy = []
     for _ in range(150):
         p.advance(2e-3, c)
         energy.append(p.kinetic_energy() + float(p.mass @ p.position[:, 2]) * 9.81)
     rises = np.diff(energy)
     assert rises.max() < 1e-3 * start  # springs give back at most what they hold
-    assert energy[-1] < energy[0] - 0.9 * start and p.kinetic_energy() < 1e-6 * start
+    assert energy[-1] < 0.7 * energy[0] and p.kinetic_energy() < 1e-6 * start
