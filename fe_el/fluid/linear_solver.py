@@ -67,7 +67,13 @@ class LinearSolver:
         self.nullspace = PETSc.NullSpace().create(constant=True, comm=matrix.comm) if constant_nullspace else None
         if self.nullspace:
             matrix.setNullSpace(self.nullspace)
+        coarse, options = name + "_pc_hypre_boomeramg_relax_type_coarse", PETSc.Options()
+        smooth = constant_nullspace and not options.hasName(coarse)
+        if smooth:  # a singular matrix has no Gaussian elimination on the coarsest level
+            options[coarse] = "symmetric-SOR/Jacobi"
         self.ksp.setFromOptions()
+        if smooth:
+            options.delValue(coarse)
         self.x, self.b = matrix.createVecs()
         self.iterations, self.fallbacks, self.comm = 0, 0, matrix.comm.tompi4py()
 
