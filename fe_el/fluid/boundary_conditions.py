@@ -114,6 +114,14 @@ class Boundaries:
         for facets in self.no_slip:
             self.boundary_velocity[facets.nodes] = 0.0
 
+    def inflow_at(self, time):
+        """Volume per time that the inlets let in, on the nodes of owned facets [m^3/s]."""
+        inflow, d = self.nodal_zeros(()), self.dimension
+        for facets, value in self.inlets:
+            flux = (velocity_at(value, time, facets.centre, d) * facets.area_normal).sum(1)
+            np.add.at(inflow, facets.facet_nodes, -flux[:, None] / d)
+        return inflow
+
     def impose(self, u):
         """Give the fixed nodes their velocities, and take the normal part from slip walls, in place."""
         for nodes, normal in self.slip:

@@ -117,10 +117,13 @@ class LinearSolver:
     def _try(self, ksp, guess):
         self.x.array[:] = guess
         ksp.setConvergenceHistory(reset=True)
-        ksp.solve(self.b, self.x)
+        try:
+            ksp.solve(self.b, self.x)
+            failed = not np.isfinite(self.x.array).all()
+        except PETSc.Error:  # a preconditioner that cannot be built or applied on this rank
+            failed = True
         self.iterations = ksp.getIterationNumber()
-        finite = self.comm.allreduce(int(not np.isfinite(self.x.array).all())) == 0
-        return ksp.getConvergedReason() > 0 and finite
+        return self.comm.allreduce(int(failed)) == 0 and ksp.getConvergedReason() > 0
 
     def _fallback(self, method, preconditioner):
         ksp = PETSc.KSP().create(self.matrix.comm)

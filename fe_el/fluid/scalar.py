@@ -57,8 +57,7 @@ class Scalar:
         tick = time.perf_counter()
         air, c = self.fluid, self.value.x.array
         phi0, phi1 = air.void_fractions
-        q = air.velocity.x.array.reshape(-1, air.dimension)[:air.num_cells]
-        flux = air.density * phi1[:, None] * q
+        flux = air.step_flux
         old, rhs, values = c[:, None].copy(), np.zeros((air.nodes, 1)), self.matrix.values
         kernels.transport_matrix(air.dofs, air.gradient, air.volume, air.density, air.density * phi1 * self.diffusivity, dt, phi1,
                                  air.rate, flux, air.fixed_pressure, 1.0, old, values, rhs)

@@ -3,18 +3,18 @@ import time
 
 import numpy as np
 from dolfinx import fem
-from mpi4py import MPI
 
 from fe_el.exchange import Halo
 from fe_el.fluid import kernels
 from fe_el.fluid.boundary_conditions import Boundaries, velocity_at
+from fe_el.fluid.continuity import ClosedFlux, Ledger
 from fe_el.fluid.linear_solver import ElementMatrix, LinearSolver
 from fe_el.mesh import barycentric_maps, check_simplices, owned_corners
 
 START_STEPS = 2  # implicit Euler steps that damp a start which does not fit its boundary conditions
 
 
-class VolumeAveragedNavierStokes(Boundaries):
+class VolumeAveragedNavierStokes(Boundaries, Ledger):
     """Flow of a fluid through the void fraction phi left by particles (model A).
 
         d(rho phi)/dt + div(rho phi u) = 0
@@ -38,8 +38,9 @@ class VolumeAveragedNavierStokes(Boundaries):
 
     Attributes:
         velocity: DG0 vector Function, interstitial velocity u [m/s].
-        pressure: P1 Function [Pa].
-        body_force: force per fluid volume [N/m^3]: d numbers, (cells, d), or a function (time, cell centres); ``None``: none.
+        pressure: P1 Function, of the middle of the step [Pa].
+        body_force: force per fluid volume [N/m^3]: d numbers, (cells, d), or a function (time, cell centres), taken at the
+            middle of the step; ``None``: none.
         mass_source: volume of fluid per volume and time [1/s], that comes in with the local velocity only if ``body_force``
             says so; a number, (cells,), or a function; ``None``: none.
 
@@ -82,7 +83,7 @@ class VolumeAveragedNavierStokes(Boundaries):
             raise ValueError(f"time_order is {time_order}; it must be 1 or 2.")
         self.turbulence, self.time_order = turbulence, time_order
         self.mean_pressure_gradient, self.stress_of_mixture = mean.copy(), bool(stress_of_mixture)
-        self.ready, self._last_flux = False, None
+        self.ready, self._last_flux, self.step_flux, self._closed_flux = False, None, None, None
         self.body_force = self.mass_source = None
         self.node_position = np.zeros((self.nodes, 3))
         self.node_position[self.dofs] = self.corner
@@ -112,9 +113,9 @@ class VolumeAveragedNavierStokes(Boundaries):
         if closed:
             self.check_inflow()
 
-    def at_cells(self, value, shape):
-        """Values (cells, ...) of a constant, an array, or a function (time, cell centres (cells, 3))."""
-        value = np.asarray(value(self.time, self.corner.mean(1)) if callable(value) else value, float)
+    def at_cells(self, value, shape, time=None):
+        """Values (cells, ...) of a constant, an array, or a function (time, cell centres (cells, 3)); absent time: now."""
+        value = np.asarray(value(self.time if time is None else time, self.corner.mean(1)) if callable(value) else value, float)
         if not np.isfinite(value).all():
             raise ValueError(f"A source at time {self.time:g} is not finite; give finite numbers.")
         return np.broadcast_to(value, shape)
@@ -151,25 +152,33 @@ class VolumeAveragedNavierStokes(Boundaries):
                                  f"{phi.min():g}; it must be positive. Use larger cells or smoothing.")
         phi0 = phi if self.void_fraction is None else self.void_fraction
         q = self.velocity.x.array.reshape(-1, d)[:n].copy()
-        flux, rate0 = self._mass_flux(dt, phi0, q)
-        self.rate = (phi - phi0) / dt
+        rate0, self.rate = self.rate, (phi - phi0) / dt
+        flux = self.step_flux = self._mass_flux(dt, phi0, q, rate0)
         self.time, self.step = self.time + dt, self.step + 1
+        self.second_order = self.time_order == 2 and self.step > START_STEPS
         u = self._relax(dt, phi0, q)
         self.set_boundary_values(phi)
-        nodal = self._transport_step(dt, phi, rate0, flux, u)
+        nodal = self._transport_step(dt, phi0, phi, flux, u)
         transported = self._fade(dt, phi0, phi, q, u)
-        self._exchange(dt, phi, drag, source, nodal, transported)
+        # the rate at the end of the step, where continuity is imposed: of the parabola through three void fractions
+        end_rate = self.rate + (dt / (dt + self.dt) * (self.rate - rate0) if self.second_order else 0.0)
+        self._exchange(dt, phi, end_rate, drag, source, nodal, transported)
         self.void_fraction, self.void_fractions, self.dt = phi, (phi0, phi), dt
         self.seconds["fluid"] += time.perf_counter() - tick
 
-    def _mass_flux(self, dt, phi0, q):
-        """Mass flux rho phi u and rate of the void fraction for the step: carried on to its middle for second order."""
-        flux, rate = self.density * phi0[:, None] * q, self.rate
-        last, self._last_flux = self._last_flux, (flux, rate, dt)
-        if self.time_order == 1 or last is None:
-            return flux, rate
-        part = 0.5 * dt / self.dt
-        return (1 + part) * flux - part * last[0], (1 + part) * rate - part * last[1]
+    def _mass_flux(self, dt, phi0, q, rate0):
+        """Mass flux rho phi u of the step: carried on to its middle for second order, and closed if the void fraction moves."""
+        flux = self.density * phi0[:, None] * q
+        last, self._last_flux = self._last_flux, flux
+        if self.time_order == 2 and last is not None:
+            part = 0.5 * dt / self.dt
+            flux = (1 + part) * flux - part * last
+        if self._closed_flux is None:
+            open_balance = np.any(self.rate) or np.any(rate0) or (self.step == 0 and np.any(q))
+            if self.comm.allreduce(int(open_balance)) == 0:
+                return flux
+            self._closed_flux = ClosedFlux(self)
+        return self._closed_flux(flux, self.time + 0.5 * dt)
 
     def nodal_zeros(self, shape):
         """Zeros (nodes, *shape)."""
@@ -198,16 +207,16 @@ class VolumeAveragedNavierStokes(Boundaries):
         self.impose(u)
         return u
 
-    def _transport_step(self, dt, phi, rate0, flux, u):
+    def _transport_step(self, dt, phi0, phi, flux, u):
         """Stage 2: convection and viscosity of the nodal velocity, implicit, skew-symmetric, conserving momentum."""
         d, values = self.dimension, self._transport.values
-        theta = 1.0 if self.time_order == 1 or self.step <= START_STEPS else 0.5
-        stress = self.viscosity * (np.ones_like(phi) if self.stress_of_mixture else phi)
+        theta, share = (0.5, 0.5 * (phi0 + phi)) if self.second_order else (1.0, phi)
+        stress = self.viscosity * (np.ones_like(phi) if self.stress_of_mixture else share)
         if self.turbulence is not None:
-            stress = stress + self.density * phi * self.turbulence(self, u)
+            stress = stress + self.density * share * self.turbulence(self, u)
         explicit = self.nodal_zeros((d,))
-        kernels.transport_matrix(self.dofs, self.gradient, self.volume, self.density, stress, dt, phi, rate0, flux,
-                                 self.fixed_pressure, theta, u, values, explicit)
+        kernels.transport_matrix(self.dofs, self.gradient, self.volume, self.density, stress, dt, phi, self.rate,
+                                 flux, self.fixed_pressure, theta, u, values, explicit)
         self.node_halo.forward(self.node_halo.reverse_add(explicit))
         for facets, _ in self.outlets:
             kernels.open_boundary(facets.cell, facets.local, facets.area_normal, flux, values)
@@ -248,19 +257,18 @@ class VolumeAveragedNavierStokes(Boundaries):
         self._correction = defect / self.mass[:, None]
         return kept
 
-    def _exchange(self, dt, phi, drag, source, nodal, transported):
+    def _exchange(self, dt, phi, rate, drag, source, nodal, transported):
         """Stage 3: drag and pressure together; an exact projection with the drag on the diagonal."""
         n, d, own = self.num_cells, self.dimension, self.owned_nodes
         q, diagonal, rhs = np.empty((n, d)), np.empty(n), self.nodal_zeros(())
         body = self.density * self.gravity + self.mean_pressure_gradient
-        body = np.broadcast_to(body, (n, d)) + (0.0 if self.body_force is None else self.at_cells(self.body_force, (n, d)))
-        self.supply = self.rate - (0.0 if self.mass_source is None else self.at_cells(self.mass_source, (n,)))
+        middle = self.time - (0.5 * dt if self.second_order else 0.0)
+        body = np.broadcast_to(body, (n, d)) + (0.0 if self.body_force is None else
+                                                self.at_cells(self.body_force, (n, d), middle))
+        self.supply = rate - (0.0 if self.mass_source is None else self.at_cells(self.mass_source, (n,)))
         kernels.exchange_system(self.dofs, self.gradient, self.volume, self.density, dt, phi, self.supply, drag, source, body,
                                 nodal, self._correction, transported, q, diagonal, self._poisson.values, rhs)
-        self.inflow = self.nodal_zeros(())
-        for facets, value in self.inlets:
-            flux = (velocity_at(value, self.time, facets.centre, d) * facets.area_normal).sum(1)
-            np.add.at(self.inflow, facets.facet_nodes, -flux[:, None] / d)
+        self.inflow = self.inflow_at(self.time)
         rhs += self.inflow
         values, lift, p = self._poisson.values, self.nodal_zeros((1,)), self.pressure.x.array
         boundary = self.nodal_zeros((1,))
@@ -284,28 +292,3 @@ class VolumeAveragedNavierStokes(Boundaries):
         self.nodal_velocity = nodal + dt * change / self.mass[:, None]
         self.impose(self.nodal_velocity)
         self.force = change
-
-    # -- ledger ------------------------------------------------------------------------------------------------------
-
-    def mass_residual(self):
-        """Largest nodal residual of continuity over the largest flux through a node (outlets left out)."""
-        d = self.dimension
-        residual, scale = self.nodal_zeros(()), self.nodal_zeros(())
-        q = self.velocity.x.array.reshape(-1, d)[:self.num_cells]
-        kernels.mass_balance(self.dofs, self.gradient, self.volume, self.void_fraction, self.supply, q, residual, scale)
-        residual += self.inflow
-        self.complete(residual, scale)
-        residual[self.fixed_pressure] = 0.0
-        largest = self.comm.allreduce(np.abs(residual).max(initial=0.0), op=MPI.MAX)
-        return largest / max(self.comm.allreduce(scale.max(initial=0.0), op=MPI.MAX), 1e-300)
-
-    def momentum(self):
-        """Total fluid momentum (d,) [kg m/s]."""
-        phi = np.ones(self.num_cells) if self.void_fraction is None else self.void_fraction
-        q = self.velocity.x.array.reshape(-1, self.dimension)[:self.num_cells]
-        return self.comm.allreduce((self.density * phi * self.volume) @ q)
-
-    def courant(self, dt):
-        """Largest Courant number |u| dt / h."""
-        q = self.velocity.x.array.reshape(-1, self.dimension)[:self.num_cells]
-        return self.comm.allreduce(dt * (np.linalg.norm(q, axis=1) / self.h).max(initial=0.0), op=MPI.MAX)

@@ -1,0 +1,71 @@
+"""Balance of mass: fluxes that close it for a step, and the ledger of the fluid."""
+import numpy as np
+from mpi4py import MPI
+
+from fe_el.fluid import kernels
+from fe_el.fluid.linear_solver import ElementMatrix, LinearSolver
+
+
+class ClosedFlux:
+    """Takes from a mass flux the gradient that closes the balance (flux, grad w) = (rho dphi/dt - sources, w) of a step.
+
+    Only then does transport keep a uniform velocity, or a uniform scalar, while the void fraction changes. The matrix is
+    constant and set up once.
+
+    Args:
+        fluid (VolumeAveragedNavierStokes): with its boundary conditions.
+
+    Note:
+        Collective.
+    """
+
+    def __init__(self, fluid):
+        self.fluid = fluid
+        laplacian = ElementMatrix(fluid.space, fluid.dofs)
+        laplacian.values[:] = np.einsum("cik,cjk,c->cij", fluid.gradient, fluid.gradient, fluid.volume)
+        kernels.fix_rows(fluid.dofs, fluid.fixed_pressure, laplacian.values, fluid.nodal_zeros((1,)), fluid.nodal_zeros((1,)))
+        laplacian.assemble()
+        self.matrix = laplacian.matrix
+        self.solver = LinearSolver(self.matrix, "flux", "cg", "hypre", fluid.tolerance, not fluid.outlets)
+
+    def __call__(self, flux, time):
+        """Closed flux (cells, d) [kg/(m^2 s)] of the step whose middle is ``time`` [s]."""
+        air, own = self.fluid, self.fluid.owned_nodes
+        supply = air.rate - (0.0 if air.mass_source is None else air.at_cells(air.mass_source, (air.num_cells,), time))
+        residual, scale = air.nodal_zeros(()), air.nodal_zeros(())
+        kernels.mass_balance(air.dofs, air.gradient, air.volume, np.ones(air.num_cells), air.density * supply, flux, residual,
+                             scale)
+        residual += air.density * air.inflow_at(time)
+        air.node_halo.reverse_add(residual)
+        residual[air.fixed_pressure] = 0.0
+        psi = air.nodal_zeros(())
+        psi[:own] = self.solver.solve(residual[:own], psi[:own])
+        air.node_halo.forward(psi)
+        return flux - np.einsum("cik,ci->ck", air.gradient, psi[air.dofs])
+
+
+class Ledger:
+    """What a fluid knows of its own balances."""
+
+    def mass_residual(self):
+        """Largest nodal residual of continuity over the largest flux through a node (outlets left out)."""
+        d = self.dimension
+        residual, scale = self.nodal_zeros(()), self.nodal_zeros(())
+        q = self.velocity.x.array.reshape(-1, d)[:self.num_cells]
+        kernels.mass_balance(self.dofs, self.gradient, self.volume, self.void_fraction, self.supply, q, residual, scale)
+        residual += self.inflow
+        self.complete(residual, scale)
+        residual[self.fixed_pressure] = 0.0
+        largest = self.comm.allreduce(np.abs(residual).max(initial=0.0), op=MPI.MAX)
+        return largest / max(self.comm.allreduce(scale.max(initial=0.0), op=MPI.MAX), 1e-300)
+
+    def momentum(self):
+        """Total fluid momentum (d,) [kg m/s]."""
+        phi = np.ones(self.num_cells) if self.void_fraction is None else self.void_fraction
+        q = self.velocity.x.array.reshape(-1, self.dimension)[:self.num_cells]
+        return self.comm.allreduce((self.density * phi * self.volume) @ q)
+
+    def courant(self, dt):
+        """Largest Courant number |u| dt / h."""
+        q = self.velocity.x.array.reshape(-1, self.dimension)[:self.num_cells]
+        return self.comm.allreduce(dt * (np.linalg.norm(q, axis=1) / self.h).max(initial=0.0), op=MPI.MAX)
