@@ -1,12 +1,13 @@
 """fe_el: finite-element fluid with Lagrangian particles on FEniCSx.
 
-Fluid: VolumeAveragedNavierStokes, Scalar, Probe, TimeAverage, SolverDiverged; eddy viscosities Smagorinsky, Vreman, Wale
+Fluid: VolumeAveragedNavierStokes, Scalar, Probe, TimeAverage, ramp, SolverDiverged; eddy viscosities Smagorinsky, Vreman, Wale;
+    stabilisations Streamline, Upwind
 Particles: Particles, Inlet, LostParticle, Contacts; laws LinearSpringDashpot, HertzMindlin, RollingFriction, ArrayLaw;
     walls FacetWalls, PlaneWall, CylinderWall
 Coupling: Coupling; forces Drag, PressureGradient, ViscousStress, Buoyancy; drag_laws; HelmholtzSmoothing, PatchAverage;
     SatellitePoints, ParticleCentred, HatKernel, WellMixed; time_scales
 Meshes: read_mesh, mesh_geo, box, periodic_box
-Running: time_steps, ParaViewOutput, stage_seconds, write_summary
+Running: time_steps, adaptive_steps, ParaViewOutput, stage_seconds, write_summary
 
 Every public call is collective unless it says otherwise; all numbers are in SI units.
 Names are loaded when first used, so a scene without fluid never imports the fluid.
@@ -15,7 +16,9 @@ import importlib
 
 _HOME = {
     "VolumeAveragedNavierStokes": "fluid.volume_averaged_navier_stokes", "SolverDiverged": "fluid.linear_solver",
-    "Scalar": "fluid.scalar", "Probe": "fluid.observers", "TimeAverage": "fluid.observers", "Smagorinsky": "fluid.turbulence", "Vreman": "fluid.turbulence", "Wale": "fluid.turbulence",
+    "Scalar": "fluid.scalar", "Probe": "fluid.observers", "TimeAverage": "fluid.observers", "ramp": "fluid.boundary_conditions",
+    "Smagorinsky": "fluid.turbulence", "Vreman": "fluid.turbulence", "Wale": "fluid.turbulence",
+    "Streamline": "fluid.stabilisation", "Upwind": "fluid.stabilisation",
     "Particles": "particles.particles", "LostParticle": "particles.particles", "Contacts": "particles.contacts",
     "LinearSpringDashpot": "particles.contact_laws", "HertzMindlin": "particles.contact_laws",
     "RollingFriction": "particles.contact_laws", "ArrayLaw": "particles.array_law", "Inlet": "particles.open_boundaries",
@@ -26,7 +29,7 @@ _HOME = {
     "HelmholtzSmoothing": "coupling.smoothing", "PatchAverage": "coupling.smoothing", "SatellitePoints": "coupling.mapping",
     "ParticleCentred": "coupling.mapping", "HatKernel": "coupling.mapping", "WellMixed": "coupling.mapping",
     "read_mesh": "mesh", "mesh_geo": "mesh", "box": "box_mesh", "periodic_box": "periodic_mesh",
-    "time_steps": "output", "ParaViewOutput": "output", "write_summary": "output",
+    "time_steps": "output", "adaptive_steps": "output", "ParaViewOutput": "output", "write_summary": "output",
     "stage_seconds": "output",
 }
 _MODULES = ("drag_laws", "time_scales", "schemes", "mapping")

@@ -29,6 +29,42 @@ def time_steps(dt, end_time, start=0.0, comm=MPI.COMM_WORLD, progress=True):
             bar.update()
 
 
+def adaptive_steps(fluid, end_time, courant=0.5, first=None, largest=np.inf, growth=1.2, progress=True):
+    """Yield (time, dt) up to end_time with steps that keep the fluid's Courant number |u| dt / h at ``courant``.
+
+    Call ``fluid.advance(dt)`` in the loop. A step never grows by more than ``growth``; it shrinks at once.
+
+    Args:
+        first (float): first step [s]; absent: by the Courant number of the initial velocity.
+        largest (float): bound of the steps, for instance from :mod:`fe_el.time_scales` [s].
+
+    Raises:
+        ValueError: for numbers that are not positive, a growth below one, or if neither ``first`` nor ``largest`` is given and
+            the fluid is at rest.
+
+    Note:
+        Collective.
+    """
+    for name, value in (("courant", courant), ("largest", largest), ("end_time", end_time), ("first", first or 1.0)):
+        if not value > 0:
+            raise ValueError(f"{name} is {value}; it must be greater than zero.")
+    if not growth >= 1:
+        raise ValueError(f"growth is {growth}; it must be at least 1.")
+    time, dt = fluid.time, first
+    with tqdm(total=end_time - time, disable=not progress or fluid.comm.rank > 0, unit="s", file=sys.stderr, mininterval=1.0) as bar:
+        while time < end_time * (1 - 1e-12):
+            rate = fluid.courant(1.0)
+            wanted = min(courant / rate if rate > 0 else np.inf, largest)
+            dt = min(wanted, np.inf if dt is None else growth * dt) if time > fluid.time or fluid.step else min(wanted, dt or np.inf)
+            if not np.isfinite(dt):
+                raise ValueError("The fluid is at rest, so its Courant number gives no step; pass first= or largest= [s].")
+            left = end_time - time
+            dt = left if dt > 0.999999 * left else min(dt, 0.5 * left) if dt > 0.5 * left else dt
+            time += dt
+            yield time, dt
+            bar.update(dt)
+
+
 def stage_seconds(*parts):
     """Wall time of every active stage: ``seconds_per_stage`` and a flat ``seconds_<stage>`` each.
 

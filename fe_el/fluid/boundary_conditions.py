@@ -1,6 +1,7 @@
 """Boundary conditions of the fluid: facets and nodes of the tagged groups, and their values."""
 import numpy as np
 
+from fe_el.checks import require_positive
 from fe_el.mesh import require_groups
 
 
@@ -11,6 +12,7 @@ class BoundaryFacets:
         cell, local: owned cell and its vertex opposite the facet.
         area_normal: (facets, d) outward normal times area [m^2].
         centre: (facets, 3) [m].
+        points: (d, facets, 3) of a quadrature with equal weights, exact for parabolic profiles [m].
         nodes: local numbers of the P1 nodes on the group (on every rank that has them).
     """
 
@@ -31,11 +33,20 @@ class BoundaryFacets:
         self.area_normal = -gradient[self.cell, self.local] * (d * volume[self.cell])[:, None]
         keep = np.array([[v for v in range(d + 1) if v != f] for f in range(d + 1)])[self.local]
         self.facet_nodes = dofs[self.cell[:, None], keep]
-        self.centre = corner[self.cell[:, None], keep].mean(1)
+        at = corner[self.cell[:, None], keep]
+        self.centre = at.mean(1)
+        pull = 1 / 3 ** 0.5 if d == 2 else 0.5  # how far the points lie from the centre towards the vertices
+        self.points = np.stack([self.centre + pull * (at[:, k] - self.centre) for k in range(d)])
         mark = np.zeros(num_nodes)
         mark[self.facet_nodes] = 1.0
         node_halo.forward(node_halo.reverse_add(mark))
         self.nodes = np.flatnonzero(mark > 0)
+
+
+def volume_flux(facets, value, time, dimension):
+    """Volume per time that leaves through each facet with a velocity value [m^3/s]."""
+    mean = sum(velocity_at(value, time, at, dimension) for at in facets.points) / dimension
+    return (mean * facets.area_normal).sum(1)
 
 
 def velocity_at(value, time, position, dimension):
@@ -55,6 +66,23 @@ def velocity_at(value, time, position, dimension):
     return v
 
 
+def ramp(value, duration):
+    """Velocity of an inlet that rises smoothly from zero to ``value`` within ``duration`` [s].
+
+    Args:
+        value: d numbers, or a function (time, position).
+
+    Raises:
+        ValueError: for a duration that is not positive.
+    """
+    require_positive("duration of the ramp", duration)
+
+    def rising(time, position):
+        s = min(max(time / duration, 0.0), 1.0)
+        return s * s * (3 - 2 * s) * np.asarray(value(time, position) if callable(value) else value, float)
+    return rising
+
+
 class Boundaries:
     """Boundary conditions of a fluid on tagged facets: what is set, and the values at its nodes at each step."""
 
@@ -62,8 +90,10 @@ class Boundaries:
         """Facets and nodes of a boundary group."""
         if self.facet_tags is None:
             raise ValueError(f"Boundary group {group} was named, but no facet_tags were given; pass facet_tags=.")
-        return BoundaryFacets(self.mesh, self.facet_tags, group, self.dofs, self.corner, self.gradient, self.volume,
-                              self.node_halo, self.nodes)
+        if group not in self._facets:
+            self._facets[group] = BoundaryFacets(self.mesh, self.facet_tags, group, self.dofs, self.corner, self.gradient,
+                                                 self.volume, self.node_halo, self.nodes)
+        return self._facets[group]
 
     def set_velocity(self, group, value):
         """Superficial velocity on an inlet: d numbers, or a function (time, position (points, 3)) -> (points, d)."""
@@ -95,9 +125,8 @@ class Boundaries:
 
     def check_inflow(self):
         """Raise ``ValueError`` if a domain without outlet is given a net inflow."""
-        values = [(velocity_at(v, 0.0, f.centre, self.dimension), f.area_normal) for f, v in self.inlets]
-        net = self.comm.allreduce(sum(float((v * n).sum()) for v, n in values))
-        total = self.comm.allreduce(sum(float(np.linalg.norm(v, axis=1) @ np.linalg.norm(n, axis=1)) for v, n in values))
+        flux = [volume_flux(f, v, 0.0, self.dimension) for f, v in self.inlets]
+        net, total = self.comm.allreduce(np.array([sum(f.sum() for f in flux), sum(np.abs(f).sum() for f in flux)], float))
         if abs(net) > 1e-9 * max(total, 1e-300):
             raise ValueError(f"The inlets let {-net:g} m^3/s into a domain without outlet; add set_pressure(group).")
 
@@ -118,8 +147,7 @@ class Boundaries:
         """Volume per time that the inlets let in, on the nodes of owned facets [m^3/s]."""
         inflow, d = self.nodal_zeros(()), self.dimension
         for facets, value in self.inlets:
-            flux = (velocity_at(value, time, facets.centre, d) * facets.area_normal).sum(1)
-            np.add.at(inflow, facets.facet_nodes, -flux[:, None] / d)
+            np.add.at(inflow, facets.facet_nodes, -volume_flux(facets, value, time, d)[:, None] / d)
         return inflow
 
     def impose(self, u):

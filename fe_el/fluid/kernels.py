@@ -12,9 +12,22 @@ def fading_rate(speed_squared, h, nu):
 
 
 @njit(cache=True, fastmath=FAST)
-def mass_and_misfit(dofs, weight, q, u, h, nu, dt, mass, misfit, part):
+def lag_of(rate, dt, fading, h, nu):
+    """dt - (1 - exp(-rate dt)) / rate: the time of a step that a steady gain misses of its fading at ``rate``.
+
+    Less in steps that are long against the fading, most of all by viscosity: there the gain of the last step no longer tells
+    that of this one, and the pressure would suffer.
+    """
+    x = rate * dt
+    lag = dt - (1.0 - np.exp(-x)) / rate if x > 1e-6 else 0.5 * x * dt
+    return lag / (1.0 + (nu * dt / (h * h)) ** 4 + (fading * dt / 16.0) ** 4)
+
+
+@njit(cache=True, fastmath=FAST)
+def mass_and_misfit(dofs, weight, q, u, h, nu, dt, gain, nodal_gain, mass, misfit, part, feed):
     """Nodal sums of the cell masses, of mass times (q - mean u) as in a least-squares fit, and of mass times the part of the
-    misfit that is taken over in a step."""
+    misfit that is taken over in a step; ``feed`` gets what is taken over of the misfit that drag and pressure (gain - mean
+    nodal gain, as of the last step) add during the step."""
     n, m = dofs.shape
     d = q.shape[1]
     share = 1.0 / m
@@ -22,17 +35,21 @@ def mass_and_misfit(dofs, weight, q, u, h, nu, dt, mass, misfit, part):
         speed = 0.0
         for k in range(d):
             speed += q[c, k] * q[c, k]
-        taken = share * weight[c] * (1.0 - np.exp(-2.0 * dt * fading_rate(speed, h[c], nu)))
+        fading = fading_rate(speed, h[c], nu)
+        taken, lag = 1.0 - np.exp(-2.0 * dt * fading), lag_of(2.0 * fading, dt, fading, h[c], nu)
         for i in range(m):
             mass[dofs[c, i]] += share * weight[c]
-            part[dofs[c, i]] += taken
+            part[dofs[c, i]] += share * weight[c] * taken
         for k in range(d):
-            mean = 0.0
+            mean, rise = 0.0, 0.0
             for i in range(m):
                 mean += u[dofs[c, i], k]
+                rise += nodal_gain[dofs[c, i], k]
             misfit_k = share * weight[c] * (q[c, k] - share * mean)
+            feed_k = share * weight[c] * lag * (gain[c, k] - share * rise)
             for i in range(m):
                 misfit[dofs[c, i], k] += misfit_k
+                feed[dofs[c, i], k] += feed_k
 
 
 @njit(cache=True, fastmath=FAST)
@@ -127,8 +144,12 @@ def fix_rows(dofs, fixed, values, lift, boundary):
 
 
 @njit(cache=True, fastmath=FAST)
-def memory(dofs, mass0, mass1, q, u, h, dt, nu, kept, defect):
-    """What the nodes do not carry, q - mean u, fades by theta; ``defect`` gets the momentum that lost, per node."""
+def memory(dofs, mass0, mass1, q, u, h, dt, nu, gain, nodal_gain, kept, defect):
+    """What the nodes do not carry, r = q - mean u, fades at a rate k; ``defect`` gets the momentum that lost, per node.
+
+    Drag and pressure feed r with a = gain - mean nodal gain, as of the last step. They act after the fading, over a whole step;
+    what fades of that meanwhile, (dt - (1 - exp(-k dt)) / k) a, is taken off beforehand. So r = a / k in a steady state.
+    """
     n, m = dofs.shape
     d = q.shape[1]
     share = 1.0 / m
@@ -136,14 +157,16 @@ def memory(dofs, mass0, mass1, q, u, h, dt, nu, kept, defect):
         speed = 0.0
         for k in range(d):
             speed += q[c, k] * q[c, k]
-        theta = np.exp(-dt * fading_rate(speed, h[c], nu))
+        rate = fading_rate(speed, h[c], nu)
+        theta, lag = np.exp(-dt * rate), lag_of(rate, dt, rate, h[c], nu)
         for k in range(d):
-            mean = 0.0
+            mean, rise = 0.0, 0.0
             for i in range(m):
                 mean += u[dofs[c, i], k]
+                rise += nodal_gain[dofs[c, i], k]
             r = q[c, k] - share * mean
-            kept[c, k] = theta * r
-            part = share * (mass1[c] * theta - mass0[c]) * r
+            kept[c, k] = theta * r - lag * (gain[c, k] - share * rise)
+            part = share * (mass1[c] * kept[c, k] - mass0[c] * r)
             for i in range(m):
                 defect[dofs[c, i], k] += part
 
@@ -181,8 +204,8 @@ def exchange_system(dofs, grad, volume, density, dt, phi, supply, drag, source, 
 
 
 @njit(cache=True, fastmath=FAST)
-def pressure_step(dofs, grad, volume, density, dt, phi, diagonal, p, transported, q, change):
-    """Subtract phi grad p / (rho phi/dt + A) from q; ``change`` gets the momentum gained per time, per node."""
+def pressure_step(dofs, grad, volume, density, dt, phi, diagonal, p, transported, q, gain, change):
+    """Subtract phi grad p / (rho phi/dt + A) from q; ``gain`` is the acceleration, ``change`` the momentum per time and node."""
     n, m = dofs.shape
     d = q.shape[1]
     share = 1.0 / m
@@ -192,7 +215,8 @@ def pressure_step(dofs, grad, volume, density, dt, phi, diagonal, p, transported
             for i in range(m):
                 slope += grad[c, i, k] * p[dofs[c, i]]
             q[c, k] -= phi[c] / diagonal[c] * slope
-            part = share * density * phi[c] * volume[c] / dt * (q[c, k] - transported[c, k])
+            gain[c, k] = (q[c, k] - transported[c, k]) / dt
+            part = share * density * phi[c] * volume[c] * gain[c, k]
             for i in range(m):
                 change[dofs[c, i], k] += part
 

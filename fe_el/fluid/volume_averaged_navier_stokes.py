@@ -33,6 +33,7 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         mean_pressure_gradient: constant part of -grad p beside the solved pressure [Pa/m], on the fluid's share phi of the
             volume: what carries the weight in a periodic box (give particles the same by ``PressureGradient(mean=...)``).
         turbulence: eddy viscosity, for instance :class:`Smagorinsky` (see :mod:`fe_el.fluid.turbulence`); absent: laminar.
+        stabilisation: :class:`Streamline` or :class:`Upwind` (see :mod:`fe_el.fluid.stabilisation`); absent: none.
         time_order (int): 2, or 1: implicit Euler, which damps what the step does not resolve.
         stress_of_mixture (bool): the fluid carries div tau, not phi div tau; for particles with ``ViscousStress``.
 
@@ -52,7 +53,8 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
     """
 
     def __init__(self, mesh, facet_tags=None, density=1.2, viscosity=1.8e-5, gravity=None, tolerance=1e-8,
-                 mean_pressure_gradient=None, stress_of_mixture=False, turbulence=None, time_order=2):
+                 mean_pressure_gradient=None, stress_of_mixture=False, turbulence=None, time_order=2,
+                 stabilisation=None):
         check_simplices(mesh)
         if not (density > 0 and np.isfinite(density)):
             raise ValueError(f"The fluid density is {density}; it must be finite and greater than zero [kg/m^3].")
@@ -74,14 +76,16 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         self.nodes, self.owned_nodes = index_map.size_local + index_map.num_ghosts, index_map.size_local
         self.node_halo = Halo.of_index_map(self.comm, index_map)
         self.h = self.volume ** (1 / d) * (2 ** 0.5 if d == 2 else 6 ** (1 / 3))
-        self.nodal_velocity, self.force = None, np.zeros((self.nodes, d))
+        self.nodal_velocity, self.force, self.gain = None, np.zeros((self.nodes, d)), np.zeros((n, d))
+        self.nodal_gain = np.zeros((self.nodes, d))
         self.void_fraction, self.rate = None, np.zeros(n)
         self.time, self.step, self.seconds = 0.0, 0, {"fluid": 0.0}
-        self.inlets, self.outlets, self.no_slip, self.slip = [], [], [], []
+        self.inlets, self.outlets, self.no_slip, self.slip, self._facets = [], [], [], [], {}
         mean = np.zeros(d) if mean_pressure_gradient is None else np.asarray(mean_pressure_gradient, float)[:d]
         if time_order not in (1, 2):
             raise ValueError(f"time_order is {time_order}; it must be 1 or 2.")
-        self.turbulence, self.time_order = turbulence, time_order
+        self.turbulence, self.time_order, self.stabilisation = turbulence, time_order, stabilisation
+        self.upwind = stabilisation is not None and stabilisation.upwind
         self.mean_pressure_gradient, self.stress_of_mixture = mean.copy(), bool(stress_of_mixture)
         self.ready, self._last_flux, self.step_flux, self._closed_flux = False, None, None, None
         self.body_force = self.mass_source = None
@@ -155,7 +159,7 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         rate0, self.rate = self.rate, (phi - phi0) / dt
         flux = self.step_flux = self._mass_flux(dt, phi0, q, rate0)
         self.time, self.step = self.time + dt, self.step + 1
-        self.second_order = self.time_order == 2 and self.step > START_STEPS
+        self.second_order = self.time_order == 2 and self.step > START_STEPS and not self.upwind
         u = self._relax(dt, phi0, q)
         self.set_boundary_values(phi)
         nodal = self._transport_step(dt, phi0, phi, flux, u)
@@ -170,7 +174,7 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         """Mass flux rho phi u of the step: carried on to its middle for second order, and closed if the void fraction moves."""
         flux = self.density * phi0[:, None] * q
         last, self._last_flux = self._last_flux, flux
-        if self.time_order == 2 and last is not None:
+        if self.time_order == 2 and last is not None and not self.upwind:
             part = 0.5 * dt / self.dt
             flux = (1 + part) * flux - part * last
         if self._closed_flux is None:
@@ -197,13 +201,20 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         """
         d = self.dimension
         self.cell_mass0 = self.density * phi0 * self.volume
-        self.mass0, misfit, part = self.nodal_zeros(()), self.nodal_zeros((d,)), self.nodal_zeros(())
+        self.mass0, part = self.nodal_zeros(()), self.nodal_zeros(())
+        misfit, feed = self.nodal_zeros((d,)), self.nodal_zeros((d,))
         start = self.nodal_zeros((d,)) if self.nodal_velocity is None else self.nodal_velocity
-        kernels.mass_and_misfit(self.dofs, self.cell_mass0, q, start, self.h, self.viscosity / self.density, dt, self.mass0,
-                                misfit, part)
-        self.complete(self.mass0, misfit, part)
+        kernels.mass_and_misfit(self.dofs, self.cell_mass0, q, start, self.h, self.viscosity / self.density, dt, self.gain,
+                                self.nodal_gain, self.mass0, misfit, part, feed)
+        if self.upwind:  # towards the plain mean of the cells, which stays in their range
+            misfit, feed = self.nodal_zeros((d,)), 0.0
+            kernels.scatter(self.dofs, self.cell_mass0[:, None] * q, misfit)
+            self.complete(self.mass0, misfit, part)
+            misfit -= self.mass0[:, None] * start
+        else:
+            self.complete(self.mass0, misfit, part, feed)
         part = 1.0 if self.nodal_velocity is None else (part / self.mass0)[:, None]
-        u = start + part * misfit / self.mass0[:, None]
+        u = start + (part * misfit + feed) / self.mass0[:, None]
         self.impose(u)
         return u
 
@@ -217,6 +228,8 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         explicit = self.nodal_zeros((d,))
         kernels.transport_matrix(self.dofs, self.gradient, self.volume, self.density, stress, dt, phi, self.rate,
                                  flux, self.fixed_pressure, theta, u, values, explicit)
+        if self.stabilisation is not None:
+            self.stabilisation(self, share, flux, u, values, explicit)
         self.node_halo.forward(self.node_halo.reverse_add(explicit))
         for facets, _ in self.outlets:
             kernels.open_boundary(facets.cell, facets.local, facets.area_normal, flux, values)
@@ -251,8 +264,8 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         """What the nodes cannot represent fades at the rate of convection and viscosity; its momentum is kept."""
         d = self.dimension
         kept, defect = np.empty_like(q), self.nodal_zeros((d,))
-        kernels.memory(self.dofs, self.cell_mass0, self.cell_mass, q, u, self.h, dt, self.viscosity / self.density, kept,
-                       defect)
+        kernels.memory(self.dofs, self.cell_mass0, self.cell_mass, q, u, self.h, dt, self.viscosity / self.density, self.gain,
+                       self.nodal_gain, kept, defect)
         self.complete(defect)
         self._correction = defect / self.mass[:, None]
         return kept
@@ -285,10 +298,13 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         self.pressure.x.scatter_forward()
         change = self.nodal_zeros((d,))
         kernels.pressure_step(self.dofs, self.gradient, self.volume, self.density, dt, phi, diagonal, p, transported, q,
-                              change)
+                              self.gain, change)
         self.complete(change)
         self.velocity.x.array.reshape(-1, d)[:n] = q
         self.velocity.x.scatter_forward()
-        self.nodal_velocity = nodal + dt * change / self.mass[:, None]
+        self.nodal_gain = change / self.mass[:, None]
+        self.nodal_velocity = nodal + dt * self.nodal_gain
         self.impose(self.nodal_velocity)
         self.force = change
+        if self.upwind:  # which takes nothing beforehand
+            self.gain[:], self.nodal_gain[:] = 0.0, 0.0

@@ -1,0 +1,106 @@
+"""Stabilisation of convection, for flows that the mesh does not resolve; absent by default, as the scheme needs none to be stable."""
+import numpy as np
+from numba import njit
+
+from fe_el.checks import require_positive
+from fe_el.fluid import kernels
+
+
+@njit(cache=True, fastmath=kernels.FAST)
+def _convection(dofs, grad, volume, flux, u, share_out, along):
+    """Convection M . grad u of each cell, and its integral shared out to the nodes."""
+    n, m = dofs.shape
+    d = u.shape[1]
+    for c in range(n):
+        for k in range(d):
+            along[c, k] = 0.0
+        for i in range(m):
+            slope = 0.0
+            for j in range(flux.shape[1]):
+                slope += grad[c, i, j] * flux[c, j]
+            for k in range(d):
+                along[c, k] += slope * u[dofs[c, i], k]
+        for k in range(d):
+            part = volume[c] / m * along[c, k]
+            for i in range(m):
+                share_out[dofs[c, i], k] += part
+
+
+@njit(cache=True, fastmath=kernels.FAST)
+def _streamline(dofs, grad, volume, flux, weight, mean, values, rhs):
+    """Add weight (M . grad u - mean, M . grad w); the nodal mean of the last step goes to ``rhs``."""
+    n, m = dofs.shape
+    slope = np.empty(m)
+    for c in range(n):
+        for i in range(m):
+            slope[i] = 0.0
+            for j in range(flux.shape[1]):
+                slope[i] += grad[c, i, j] * flux[c, j]
+        for i in range(m):
+            for j in range(m):
+                values[c, i, j] += weight[c] * volume[c] * slope[i] * slope[j]
+            for k in range(rhs.shape[1]):
+                average = 0.0
+                for j in range(m):
+                    average += mean[dofs[c, j], k]
+                rhs[dofs[c, i], k] += weight[c] * volume[c] * slope[i] * average / m
+
+
+@njit(cache=True)
+def _upwind(values):
+    """Move what couples two nodes with the wrong sign to the diagonal: no node is repelled by another."""
+    n, m = values.shape[0], values.shape[1]
+    for c in range(n):
+        for i in range(m):
+            for j in range(i):
+                excess = max(values[c, i, j], values[c, j, i], 0.0)
+                values[c, i, j] -= excess
+                values[c, j, i] -= excess
+                values[c, i, i] += excess
+                values[c, j, j] += excess
+
+
+class Streamline:
+    """Diffusion along the stream of what the nodes' mean of the convection does not explain (orthogonal subscales).
+
+    tau (M . grad u - P(M . grad u), M . grad w) / (rho phi), tau = factor / (2 |u| / h + 4 nu / h^2): it vanishes with the mesh
+    faster than the error of the scheme, so the order stays two; momentum is kept. Codina (2002).
+
+    Args:
+        factor (float): strength.
+
+    Raises:
+        ValueError: for a factor that is not positive.
+    """
+
+    upwind = False
+
+    def __init__(self, factor=1.0):
+        require_positive("factor of Streamline", factor)
+        self.factor = float(factor)
+
+    def __call__(self, air, share, flux, u, values, rhs):
+        """Add the terms to the element matrices and to the nodal right-hand side; collective."""
+        mass = air.nodal_zeros((1,))
+        mean, along = air.nodal_zeros((air.dimension,)), np.empty((air.num_cells, air.dimension))
+        kernels.scatter(air.dofs, air.volume[:, None], mass)
+        _convection(air.dofs, air.gradient, air.volume, flux, u, mean, along)
+        air.complete(mass, mean)
+        density = air.density * share
+        rate = 2 * np.linalg.norm(flux, axis=1) / density / air.h + 4 * air.viscosity / air.density / air.h ** 2
+        weight = self.factor / np.maximum(rate, 1e-300) / density
+        _streamline(air.dofs, air.gradient, air.volume, flux, weight, mean / mass, values, rhs)
+
+
+class Upwind:
+    """Upwinding, for jets and fronts that the mesh does not resolve: the matrix of transport becomes an M-matrix.
+
+    First order in space and time, and the nodes follow the plain mean of the cells. A step in a fluid without viscosity overshoots
+    by 2 % (47 % without it); what remains comes from the cells' own part of the velocity. Momentum is kept; energy is lost.
+    """
+
+    upwind = True
+
+    def __call__(self, air, share, flux, u, values, rhs):
+        """Change the element matrices in place."""
+        _upwind(values)
