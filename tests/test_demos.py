@@ -7,7 +7,10 @@ from demos import (
     contact_speed,
     contacts_only,
     error_against_run_time,
+    flow_past_cylinder,
+    fluid_speed,
     fluidised_bed,
+    ico_foam,
     own_weak_form,
     sedimenting_suspension,
     time_scales,
@@ -103,3 +106,30 @@ def test_own_weak_form(folder, dimension):
     summary = own_weak_form.main(dimension, cells=3, particles=60, end_time=4e-3, output=folder, progress=False)
     assert summary["momentum_imbalance"] < 1e-12 and summary["solid_volume_error"] < 1e-12
     assert -9.81 * 4e-3 < summary["mean_velocity"] < 0  # held up by the gas, but falling
+
+
+@pytest.mark.ranks
+def test_flow_past_cylinder(folder):
+    """A short, coarse run: the mass balance closes and both forces are recorded."""
+    summary = flow_past_cylinder.main(100.0, 24, 0.08, 0.3, 0.02, 0.2, 0.1, folder, progress=False)
+    assert summary["mass_residual"] < 1e-6 and summary["largest_drag"] > 1
+    assert summary["strouhal_interval"] == [0.295, 0.305]
+
+
+def test_fluid_speed(folder, monkeypatch):
+    """The error falls with the mesh at second order; without icoFoam it says so and goes on."""
+    monkeypatch.setattr(ico_foam, "installed", lambda: False)
+    monkeypatch.setattr(fluid_speed.ico_foam, "installed", lambda: False)
+    summary = fluid_speed.main([3], 5, [16, 32], 1, folder, progress=False)
+    assert summary["vortex_fe_el_16_error"] > 3.2 * summary["vortex_fe_el_32_error"]
+    assert summary["cube_fe_el_3_cells"] == 162 and summary["cube_fe_el_3_seconds"] > 0
+
+
+def test_cases_for_ico_foam_are_complete(folder):
+    """All files of a case, with its mesh, patches and step."""
+    from pathlib import Path
+    ico_foam.write_case(folder + "/case", (1, 1, 1), (2, 3, 4), {"walls": ("wall", "", "x- x+ y- y+ z- z+", "type noSlip;", "type zeroGradient;")},
+                        1e-3, 0.25, 8, ico_foam.vectors([(1.0, 2.0)]))
+    text = {p.name: p.read_text() for p in Path(folder + "/case").rglob("*") if p.is_file()}
+    assert set(text) == {"blockMeshDict", "controlDict", "fvSchemes", "fvSolution", "decomposeParDict", "transportProperties", "U", "p"}
+    assert "(2 3 4)" in text["blockMeshDict"] and "endTime 2;" in text["controlDict"] and "(1 2 0)" in text["U"]

@@ -125,8 +125,10 @@ class Boundaries:
 
     def check_inflow(self):
         """Raise ``ValueError`` if a domain without outlet is given a net inflow."""
-        flux = [volume_flux(f, v, 0.0, self.dimension) for f, v in self.inlets]
-        net, total = self.comm.allreduce(np.array([sum(f.sum() for f in flux), sum(np.abs(f).sum() for f in flux)], float))
+        net = sum(volume_flux(f, v, 0.0, self.dimension).sum() for f, v in self.inlets)
+        total = sum(np.linalg.norm(velocity_at(v, 0.0, f.centre, self.dimension), axis=1)
+                    @ np.linalg.norm(f.area_normal, axis=1) for f, v in self.inlets)
+        net, total = self.comm.allreduce(float(net)), self.comm.allreduce(float(total))
         if abs(net) > 1e-9 * max(total, 1e-300):
             raise ValueError(f"The inlets let {-net:g} m^3/s into a domain without outlet; add set_pressure(group).")
 
