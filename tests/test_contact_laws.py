@@ -227,6 +227,38 @@ def test_a_packed_column_comes_to_rest():
     assert np.abs(p.position[np.argsort(p.id)] - before).max() < 1e-12 * D
 
 
+def test_a_random_pile_comes_to_rest_and_does_not_creep():
+    """Rolling friction with torsion leaves nothing that could move: energy at round-off of the weight scale, positions fixed."""
+    mesh, tags = fe_el.box((0.02, 0.02, 0.04), (2, 2, 4))
+    p = fe_el.Particles(mesh, RHO, (0, 0, -9.81))
+    p.insert_on_lattice((0, 0, 0), (0.02, 0.02, 0.04), np.full(300, 2e-3), seed=2)
+    p.velocity[:] = np.random.default_rng(1).normal(size=(300, 3)) * 0.3
+    friction = fe_el.RollingFriction(0.05, elastic_plastic=True, torsion=True)
+    c = fe_el.Contacts(p, fe_el.LinearSpringDashpot(2000.0, 0.7, 0.3, rolling=friction), (tags, (1, 2, 3, 4, 5, 6)))
+    for _ in range(400):
+        p.advance(2e-3, c)
+    before = p.position[np.argsort(p.id)].copy()
+    for _ in range(100):
+        p.advance(2e-3, c)
+    assert p.kinetic_energy() < 1e-24 * p.mass.sum() * 9.81 * 2e-3
+    assert np.abs(p.position[np.argsort(p.id)] - before).max() < 1e-12 * 2e-3
+
+
+@pytest.mark.parametrize("torsion, left", [(False, 1.0), (True, 0.5)])
+def test_torsion_stops_a_spinning_bead(torsion, left):
+    """On a floor, spin about the normal falls at mu_r r m g / I, or stays without torsion."""
+    mesh, tags = fe_el.box((0.02,) * 3, (2, 2, 2))
+    p = fe_el.Particles(mesh, RHO, (0, 0, -9.81))
+    p.insert_at([(0.01, 0.011, D / 2)], D)
+    law = fe_el.LinearSpringDashpot(1e4, 0.3, 0.4, rolling=fe_el.RollingFriction(0.01, torsion=torsion))
+    c = fe_el.Contacts(p, law, (tags, 5))
+    p.advance(0.02, c)  # comes to rest on its spring
+    deceleration = 0.01 * 9.81 / (0.4 * D / 2)
+    p.angular_velocity[:] = (0, 0, 2 * deceleration * 0.01)
+    p.advance(0.01, c)
+    assert p.angular_velocity[0, 2] == pytest.approx(left * 2 * deceleration * 0.01, rel=2e-3)
+
+
 EXTREMES = [{"stiffness": 1e2}, {"stiffness": 1e8}, {"density": 0.1}, {"density": 2e4}, {"diameter": 1e-6},
             {"diameter": 0.1}, {"restitution": 0.01}, {"restitution": 1.0}, {"friction": 0.0}, {"friction": 10.0}]
 

@@ -119,7 +119,8 @@ def test_a_dry_bed_only_loses_energy():
     p.insert_on_lattice((0, 0, 0), (0.02, 0.02, 0.04), np.full(300, 2e-3), seed=2)
     p.velocity[:] = np.random.default_rng(1).normal(size=(300, 3)) * 0.3
     start = p.kinetic_energy()
-    c = fe_el.Contacts(p, fe_el.LinearSpringDashpot(2000.0, 0.7, 0.3), (tags, (1, 2, 3, 4, 5, 6)))
+    friction = fe_el.RollingFriction(0.05, elastic_plastic=True, torsion=True)  # without it a bead may roll on for long
+    c = fe_el.Contacts(p, fe_el.LinearSpringDashpot(2000.0, 0.7, 0.3, rolling=friction), (tags, (1, 2, 3, 4, 5, 6)))
     energy = []
     for _ in range(150):
         p.advance(2e-3, c)

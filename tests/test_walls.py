@@ -58,6 +58,43 @@ def test_a_face_gives_no_energy_and_is_a_mirror_without_friction(angle, spin):
     assert np.allclose(smooth[0], 0.5 * np.array(direction) * (1, 1, -1), atol=2e-4)
 
 
+@pytest.mark.parametrize("cells", [(1, 400, 1), (2, 1, 2)])
+@pytest.mark.parametrize("angle", [0, 45, 85])
+def test_slivers_give_the_rebound_of_a_plane(cells, angle):
+    """Facets forty times thinner than the sphere, 400:1 stretched, or far larger than it, bent ones too: one contact, no ghosts."""
+    mesh, tags = fe_el.box((0.02, 0.02, 0.02), cells)
+    t, s = np.radians(angle), np.radians(20)
+    direction = (np.sin(t) * np.cos(s), np.sin(t) * np.sin(s), -np.cos(t))
+    target = np.array([0.0101, 0.0103, D / 2])
+    plane = shoot(mesh, fe_el.PlaneWall((0, 0, 0), (0, 0, 1)), target, direction, start=1e-4, time=0.008)
+    facets = shoot(mesh, (tags, 5), target, direction, start=1e-4, time=0.008)
+    assert np.allclose(plane[0], facets[0], atol=1e-9) and np.allclose(plane[1], facets[1], atol=1e-6)
+    assert facets[2] <= NO_GAIN
+
+
+def test_a_sphere_rolls_straight_over_needles():
+    """Needle facets at a slant, with angles down to 0.1 degree: a sphere that rolls over a hundred seams keeps its speed."""
+    n = 100
+    along = np.linspace(0, 0.04, n + 1)
+    low, high = np.column_stack([along, 0 * along, 0 * along]), np.column_stack([along + 0.013, 0.03 + 0 * along, 0 * along])
+    top = np.array([[0.02, 0.015, 0.03]])
+    x = np.concatenate([low, high, top])
+    cells = np.array([c for k in range(n) for c in ((k, k + 1, n + 1 + k, 2 * n + 2), (k + 1, n + 1 + k, n + 2 + k, 2 * n + 2))])
+    mesh = dmesh.create_mesh(MPI.COMM_SELF, cells.astype(np.int64), x, ufl.Mesh(ufl.VectorElement("Lagrange", "tetrahedron", 1)))
+    mesh.topology.create_connectivity(2, 3)
+    floor = np.sort(dmesh.locate_entities_boundary(mesh, 2, lambda y: np.abs(y[2]) < 1e-12)).astype(np.int32)
+    tags = dmesh.meshtags(mesh, 2, floor, np.ones(len(floor), np.int32))
+    p = fe_el.Particles(mesh, RHO, (0, 0, -9.81))
+    sink = p.gravity[2] * RHO * np.pi / 6 * D ** 3 / 1000.0  # rests on its spring
+    p.insert_at([(0.014, 0.015, D / 2 + sink)], D, velocity=(0.5, 0, 0))
+    p.angular_velocity[:] = (0, 0.5 / (D / 2 + sink), 0)
+    c = fe_el.Contacts(p, fe_el.LinearSpringDashpot(1000.0, 0.5, 0.3), (tags, 1), steps_per_contact=STEPS)
+    for _ in range(20):
+        p.advance(1e-3, c)
+    assert p.position[0, 0] == pytest.approx(0.024, abs=1e-7) and abs(p.position[0, 1] - 0.015) < 1e-10
+    assert np.allclose(p.velocity, (0.5, 0, 0), atol=1e-6) and abs(p.position[0, 2] - D / 2 - sink) < 1e-10
+
+
 def test_what_an_elastic_impact_gains_falls_with_the_square_of_the_step():
     mesh, _ = fe_el.box((0.05, 0.05, 0.05), (1, 1, 1))
     worst = []

@@ -20,6 +20,7 @@ class ElementMatrix:
     """Square sparse matrix that is the sum of element matrices (cells, m, m) on the nodes of a P1 space."""
 
     def __init__(self, space, dofs):
+        PETSc.garbage_cleanup(space.mesh.comm)  # PETSc keeps what Python has dropped until all ranks ask for it
         index_map = space.dofmap.index_map
         self.matrix = PETSc.Mat().create(space.mesh.comm)
         self.matrix.setSizes(((index_map.size_local, None), (index_map.size_local, None)))
@@ -106,11 +107,13 @@ class LinearSolver:
                 return self.x.array
         for method, preconditioner in FALLBACKS[:1] if self.nullspace else FALLBACKS:
             ksp = self._fallback(method, preconditioner)
-            if self._try(ksp, np.zeros_like(guess)):
+            done, reason, history = self._try(ksp, np.zeros_like(guess)), ksp.getConvergedReason(), ksp.getConvergenceHistory()
+            ksp.destroy()
+            if done:
                 self.fallbacks += 1
                 return self.x.array
-        history = ", ".join(f"{r:.3g}" for r in ksp.getConvergenceHistory()[-6:])
-        raise SolverDiverged(f"The {self.name} solve failed (PETSc reason {ksp.getConvergedReason()}) after {self.iterations} "
+        history = ", ".join(f"{r:.3g}" for r in history[-6:])
+        raise SolverDiverged(f"The {self.name} solve failed (PETSc reason {reason}) after {self.iterations} "
                              f"iterations for a right-hand side of {self.b.norm():g}; last residuals {history}. Use a smaller "
                              "time step or check the void fraction and drag fields.")
 

@@ -11,7 +11,7 @@ class LawNumbers(NamedTuple):
     """What the kernels need of a law: one table row per pair of materials (see :mod:`fe_el.particles.law_kernels`)."""
 
     kind: int  #: 0 linear, 1 Hertz
-    rolls: int  #: 0 no rolling friction, 1 constant torque, 2 elastic-plastic
+    rolls: int  #: 0 no rolling friction, 1 constant torque, 2 elastic-plastic, 3 and 4 the same with torsion
     cohesive: bool
     needs_radius: bool
     table: np.ndarray  #: (materials, materials, 7)
@@ -23,13 +23,16 @@ class RollingFriction:
     Args:
         coefficient: mu_r, a number or (materials, materials).
         elastic_plastic (bool): a rolling spring that holds slopes at rest (Ai et al. 2011); absent: constant torque.
+        torsion (bool): also against rotation about the contact normal, which nothing else stops: a pile that is to come to
+            rest entirely needs it.
 
     Raises:
         ValueError: for a negative coefficient.
     """
 
-    def __init__(self, coefficient, elastic_plastic=False):
+    def __init__(self, coefficient, elastic_plastic=False, torsion=False):
         require_not_negative("rolling friction", coefficient)
+        self.torsion = bool(torsion)
         self.coefficient, self.elastic_plastic = np.asarray(coefficient, float), bool(elastic_plastic)
 
 
@@ -72,7 +75,7 @@ class _Law:
         self.rolls = 0
         if rolling is not None:
             self.table[:, :, 5] = pair_table("rolling friction", rolling.coefficient, materials)
-            self.rolls = 2 if rolling.elastic_plastic else 1
+            self.rolls = (2 if rolling.elastic_plastic else 1) + (2 if rolling.torsion else 0)
         self.table[:, :, 6] = pair_table("cohesion energy density", cohesion, materials)
 
     @functools.cached_property

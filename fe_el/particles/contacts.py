@@ -10,7 +10,7 @@ from fe_el.exchange import largest_of, raise_everywhere
 from fe_el.particles import contact_lists, motion
 from fe_el.particles.array_law import ArrayLaw, array_forces
 from fe_el.particles.law_kernels import new_block
-from fe_el.particles.pair_forces import pair_forces
+from fe_el.particles.pair_forces import pair_forces, pair_forces_and_drift
 from fe_el.particles.particles import LostParticle
 from fe_el.particles.wall_shapes import FacetWalls, move_walls, shape_forces
 from fe_el.particles.walls import facet_forces
@@ -58,7 +58,7 @@ class Contacts:
         self.lists = contact_lists.ContactLists(particles, self.walls, skin, self._spring_width())
         self.block, self.step, self.layout = new_block(), 1, None
         self.seconds = {"neighbours": 0.0, "contacts": 0.0}
-        self.touching, self.largest_overlap, self.steps_last, self.behind = 0, 0.0, 0, None
+        self.touching, self.touching_walls, self.largest_overlap, self.steps_last, self.behind = 0, 0, 0.0, 0, None
 
     def _spring_width(self):
         rolls = max(getattr(law, "rolls", 0) for law in (self.law, self.wall_law))
@@ -130,11 +130,11 @@ class Contacts:
         force, torque = np.zeros_like(x), np.zeros_like(x)
         force[:n], torque[:n] = external + p.contact_force, p.contact_torque
         inverse_inertia = 10.0 / (mass * p.diameter ** 2)
-        part, steps, wall_speed = 0.5, 0, lists.wall_speed()
-        while steps < most:
-            moved = motion.kick_and_drift(x, v, w, force, torque, external, lists.inverse_mass, inverse_inertia, lists.x0,
-                                          part, h, n)
-            part, steps = 1.0, steps + 1
+        steps, wall_speed = 0, lists.wall_speed()
+        drift = (external, inverse_inertia, lists.x0)
+        moved = motion.kick_and_drift(x, v, w, force, torque, external, lists.inverse_mass, inverse_inertia, lists.x0, 0.5, h, 0, n)
+        while True:
+            steps += 1
             if lists.ghosts.busy:
                 lists.ghosts.forward_position(x)
                 for a in (v, w):
@@ -142,11 +142,12 @@ class Contacts:
                 force[n:] = torque[n:] = 0.0
             if lists.has_shapes:
                 move_walls(lists.kind, lists.shape, lists.motion, h)
-            self._forces(x, v, w, force, torque, h)
             lists.age += 1
             if p.comm.size > 1:
                 moved = p.comm.allreduce(moved, op=MPI.MAX)
-            if not math.sqrt(moved) + wall_speed * h * lists.age <= 0.5 * lists.skin:
+            last = steps == most or not math.sqrt(moved) + wall_speed * h * lists.age <= 0.5 * lists.skin
+            moved = self._forces(x, v, w, force, torque, h, None if last else drift)
+            if last:
                 break
         self._check_behind()
         self._check_finite(x[:n], force[:n])
@@ -175,33 +176,46 @@ class Contacts:
                        "law: insert without overlap, or use more steps_per_contact.")
         raise_everywhere(p.comm, FloatingPointError, message)
 
-    def _forces(self, x, v, w, force, torque, h):
-        """Pair and wall forces at one instant, added to ``force`` and ``torque``."""
+    def _forces(self, x, v, w, force, torque, h, drift=None):
+        """Wall and pair forces at one instant, added to ``force`` and ``torque``.
+
+        With ``drift`` (external forces, inverse inertia, reference positions) the particles also move on by a step; returns
+        the largest squared displacement from the reference then.
+        """
         lists, material = self.lists, self.lists.material
         self.step += 1
+        state = (x, v, w, force, torque, lists.radius, lists.inverse_mass)
+        if self.walls:
+            self._wall_forces(state, material, h)
         pairs = (lists.first, lists.second, lists.springs[0], lists.stamps[0])
+        moved, owned = None, len(self.particles)
         if isinstance(self.law, ArrayLaw):
-            self.touching, overlap = array_forces(self.law, x, v, w, force, torque, lists.radius, lists.inverse_mass, *pairs,
-                                                  self.step, h)
+            touching, overlap = array_forces(self.law, *state, *pairs, self.step, h)
+            if drift is not None:
+                moved = motion.kick_and_drift(x, v, w, force, torque, drift[0], lists.inverse_mass, *drift[1:], 1.0, h, 0, owned)
+        elif drift is None:
+            touching, overlap = pair_forces(*state, material, *pairs, self.step, self.block, self.law.numbers, h)
         else:
-            self.touching, overlap = pair_forces(x, v, w, force, torque, lists.radius, lists.inverse_mass, material, *pairs,
-                                                 self.step, self.block, self.law.numbers, h)
+            touching, overlap, moved = pair_forces_and_drift(*state, material, *pairs, self.step, self.block, self.law.numbers, h,
+                                                             *drift, owned)
+        self.touching = touching + self.touching_walls
         self.largest_overlap = max(self.largest_overlap, overlap)
-        if not self.walls:
-            return
-        deepest = np.zeros(1)
+        return moved
+
+    def _wall_forces(self, state, material, h):
+        """Forces of facets, planes and cylinders."""
+        lists, deepest, self.touching_walls = self.lists, np.zeros(1), 0
         common = (lists.motion, lists.wall_material, self.wall_impulse, deepest, self.block, self.wall_law.numbers, h)
-        state = (x, v, w, force, torque, lists.radius, lists.inverse_mass, material)
         if lists.facets is not None:
-            self._count(facet_forces(*state, lists.wall_particle, lists.wall_facet, lists.springs[1], lists.stamps[1], self.step,
-                                     lists.facets[0], lists.facets[1], lists.facet_wall, *common))
+            self._count(facet_forces(*state, material, lists.wall_particle, lists.wall_facet, lists.springs[1], lists.stamps[1],
+                                     self.step, lists.facets[0], lists.facets[1], lists.facet_wall, *common))
         if lists.has_shapes:
-            self._count(shape_forces(*state, lists.shape_particle, lists.shape_wall, lists.springs[2], lists.stamps[2],
+            self._count(shape_forces(*state, material, lists.shape_particle, lists.shape_wall, lists.springs[2], lists.stamps[2],
                                      self.step, lists.kind, lists.shape, *common))
         self.largest_overlap = max(self.largest_overlap, deepest[0])
 
     def _count(self, contacts):
-        self.touching += max(contacts, 0)
+        self.touching_walls += max(contacts, 0)
         if contacts < 0:
             self.behind = -1 - contacts
 

@@ -129,8 +129,8 @@ def cohesion(b, m):
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def rolling(b, m, h, elastic):
-    """Rolling friction of at most mu_r R* F_n against the relative rotation w1 - w2 (without its part about the normal).
+def rolling(b, m, h, elastic, torsion):
+    """Rolling friction of at most mu_r R* F_n against the relative rotation w1 - w2; with torsion 1 also about the normal, else 0.
 
     Constant torque (Zhou et al. 1999), smooth below the rotation that it would stop within one step; or elastic-plastic
     (Ai et al. 2011, model C) with the stiffness 2.25 k_n (mu_r R*)^2 and 0.3 of critical damping.
@@ -138,7 +138,7 @@ def rolling(b, m, h, elastic):
     for n in range(m):
         nx, ny, nz = b[n], b[n + B], b[n + 2 * B]
         wx, wy, wz = b[n + 21 * B], b[n + 22 * B], b[n + 23 * B]
-        wn = wx * nx + wy * ny + wz * nz
+        wn = (1.0 - torsion) * (wx * nx + wy * ny + wz * nz)
         wx, wy, wz = wx - wn * nx, wy - wn * ny, wz - wn * nz
         radius = b[n + 20 * B]
         cap = b[n + 27 * B] * radius * abs(b[n + 5 * B] * nx + b[n + 6 * B] * ny + b[n + 7 * B] * nz)
@@ -147,7 +147,7 @@ def rolling(b, m, h, elastic):
         damping = 0.6 * math.sqrt(inertia * stiffness) if elastic else 0.0
         keep = 1.0 if elastic else 0.0
         sx, sy, sz = keep * b[n + 24 * B] + h * wx, keep * b[n + 25 * B] + h * wy, keep * b[n + 26 * B] + h * wz
-        sn = sx * nx + sy * ny + sz * nz
+        sn = (1.0 - torsion) * (sx * nx + sy * ny + sz * nz)
         sx, sy, sz = sx - sn * nx, sy - sn * ny, sz - sn * nz
         q = min(1.0, cap / (stiffness * math.sqrt(sx * sx + sy * sy + sz * sz) + 1e-300))
         sx, sy, sz = q * sx, q * sy, q * sz
@@ -173,7 +173,7 @@ def apply_law(b, m, h, numbers):
     if numbers.cohesive:
         cohesion(b, m)
     if numbers.rolls > 0:
-        rolling(b, m, h, numbers.rolls == 2)
+        rolling(b, m, h, numbers.rolls % 2 == 0, 1.0 if numbers.rolls > 2 else 0.0)
 
 
 @njit(cache=True)
