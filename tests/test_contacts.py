@@ -84,3 +84,29 @@ def test_contact_law_rejects_impossible_numbers():
     for kwargs in ({"restitution": 0.0}, {"restitution": 1.1}, {"friction": -1.0}, {"stiffness": -5.0}):
         with pytest.raises(ValueError):
             fe_el.LinearSpringDashpot(**{"stiffness": 100.0, "restitution": 0.9, "friction": 0.1, **kwargs})
+
+
+@pytest.mark.parametrize("sub_steps", [1, 2, 50])
+def test_lists_are_renewed_however_few_sub_steps_a_call_makes(sub_steps):
+    """Two beads that start far apart collide and part at the restitution."""
+    mesh, _ = fe_el.box((0.02,) * 3, (2, 2, 2))
+    p = fe_el.Particles(mesh, 2500.0)
+    p.insert_at([(0.005, 0.01, 0.01), (0.015, 0.01, 0.01)], 5e-4, velocity=[(0.3, 0, 0), (-0.3, 0, 0)])
+    c = fe_el.Contacts(p, fe_el.LinearSpringDashpot(200.0, 0.9, 0.1), steps_per_contact=22)
+    h = 0.999 * c.step_limit()
+    for _ in range(round(0.025 / h / sub_steps)):
+        p.advance(sub_steps * h, c)
+    assert np.abs(np.abs(p.velocity[:, 0]) - 0.27).max() < 0.002 and (p.velocity[np.argsort(p.id), 0] * (1, -1) < 0).all()
+
+
+def test_the_step_is_that_of_the_pairs_there_are():
+    """Soft small beads beside stiff large ones: the stiffest table entry does not meet the lightest bead."""
+    mesh, _ = fe_el.box((0.1,) * 3, (2, 2, 2))
+    p = fe_el.Particles(mesh, 2500.0)
+    p.insert_at([(0.02, 0.02, 0.02)], 5e-4, material=0)
+    p.insert_at([(0.06, 0.06, 0.06)], 5e-3, material=1)
+    law = fe_el.LinearSpringDashpot([[100.0, 200.0], [200.0, 1000.0]], 0.9, 0.1)
+    c = fe_el.Contacts(p, law, steps_per_contact=50)
+    mass = 2500.0 * np.pi / 6 * np.array([5e-4, 5e-3]) ** 3
+    pairs = [(mass[0] / 2, 100.0), (1 / (1 / mass).sum(), 200.0), (mass[1] / 2, 1000.0)]
+    assert c.step_limit() == pytest.approx(min(np.pi * np.sqrt(m / k) for m, k in pairs) / 50, rel=2e-3)

@@ -5,6 +5,7 @@ import pytest
 
 from demos import (
     contact_speed,
+    contacts_against_peers,
     contacts_only,
     error_against_run_time,
     flow_past_cylinder,
@@ -13,6 +14,7 @@ from demos import (
     ico_foam,
     own_weak_form,
     sedimenting_suspension,
+    stability_map,
     time_scales,
 )
 
@@ -133,3 +135,20 @@ def test_cases_for_ico_foam_are_complete(folder):
     text = {p.name: p.read_text() for p in Path(folder + "/case").rglob("*") if p.is_file()}
     assert set(text) == {"blockMeshDict", "controlDict", "fvSchemes", "fvSolution", "decomposeParDict", "transportProperties", "U", "p"}
     assert "(2 3 4)" in text["blockMeshDict"] and "endTime 2;" in text["controlDict"] and "(1 2 0)" in text["U"]
+
+
+def test_stability_map(folder):
+    """Energy never exceeds that of the start; the table, the picture and the summary are there."""
+    from pathlib import Path
+    summary = stability_map.main(["drag", "courant"], 5, 6, folder, progress=False)
+    assert summary["bounded"] == summary["cases"] > 10 and summary["max_energy_drag"] <= 1 + 1e-8
+    assert (Path(folder) / "stability_map.csv").is_file() and (Path(folder) / "stability_map.png").is_file()
+
+
+def test_contacts_against_peers_without_peers(folder, monkeypatch, capfd):
+    """Without LIGGGHTS and LAMMPS it says so, names the packages, and times fe_el alone."""
+    monkeypatch.setattr(contacts_against_peers.shutil, "which", lambda name: None)
+    summary = contacts_against_peers.main(["mixture"], [1000], 1, 1, 20, 10, 0.01, output=folder, progress=False)
+    speeds = [v for k, v in summary.items() if k.startswith("million_particle_steps_per_second_mixture")]
+    assert len(speeds) == 1 and speeds[0] > 0.1
+    assert "apt-get install liggghts" in capfd.readouterr().out

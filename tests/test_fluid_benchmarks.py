@@ -21,7 +21,7 @@ def test_steady_flow_past_a_cylinder(tmp_path):
 
 def test_vortex_shedding_behind_a_cylinder(tmp_path):
     """Strouhal number of 2D-2 within 2 % of the middle of the accepted interval; drag within 3 %."""
-    summary = flow_past_cylinder.main(100.0, end_time=6.0, output=tmp_path, progress=False)
+    summary = flow_past_cylinder.main(100.0, time_step=0.005, end_time=6.0, output=tmp_path, progress=False)
     assert summary["strouhal"] == pytest.approx(0.30, rel=0.02)
     assert summary["largest_drag"] == pytest.approx(3.23, rel=0.03)
 

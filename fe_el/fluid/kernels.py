@@ -3,6 +3,7 @@ import numpy as np
 from numba import njit
 
 FAST = {"contract", "reassoc", "nsz", "arcp"}
+CUT = 4.0  # Courant number times two from which the last step's gain is not trusted, without drag
 
 
 @njit(cache=True, fastmath=FAST)
@@ -12,19 +13,19 @@ def fading_rate(speed_squared, h, nu):
 
 
 @njit(cache=True, fastmath=FAST)
-def lag_of(rate, dt, fading, h, nu):
+def lag_of(rate, dt, fading, h, nu, damping):
     """dt - (1 - exp(-rate dt)) / rate: the time of a step that a steady gain misses of its fading at ``rate``.
 
     Less in steps that are long against the fading, most of all by viscosity: there the gain of the last step no longer tells
-    that of this one, and the pressure would suffer.
+    that of this one, and energy would grow. With drag (``damping`` = A dt / (rho phi + A dt)) steps may be longer.
     """
     x = rate * dt
     lag = dt - (1.0 - np.exp(-x)) / rate if x > 1e-6 else 0.5 * x * dt
-    return lag / (1.0 + (nu * dt / (h * h)) ** 4 + (fading * dt / 16.0) ** 4)
+    return lag / (1.0 + (nu * dt / (h * h)) ** 4 + (fading * dt / (CUT + (16.0 - CUT) * damping)) ** 4)
 
 
 @njit(cache=True, fastmath=FAST)
-def mass_and_misfit(dofs, weight, q, u, h, nu, dt, gain, nodal_gain, mass, misfit, part, feed):
+def mass_and_misfit(dofs, weight, q, u, h, nu, dt, damping, gain, nodal_gain, mass, misfit, part, feed):
     """Nodal sums of the cell masses, of mass times (q - mean u) as in a least-squares fit, and of mass times the part of the
     misfit that is taken over in a step; ``feed`` gets what is taken over of the misfit that drag and pressure (gain - mean
     nodal gain, as of the last step) add during the step."""
@@ -36,7 +37,7 @@ def mass_and_misfit(dofs, weight, q, u, h, nu, dt, gain, nodal_gain, mass, misfi
         for k in range(d):
             speed += q[c, k] * q[c, k]
         fading = fading_rate(speed, h[c], nu)
-        taken, lag = 1.0 - np.exp(-2.0 * dt * fading), lag_of(2.0 * fading, dt, fading, h[c], nu)
+        taken, lag = 1.0 - np.exp(-2.0 * dt * fading), lag_of(2.0 * fading, dt, fading, h[c], nu, damping[c])
         for i in range(m):
             mass[dofs[c, i]] += share * weight[c]
             part[dofs[c, i]] += share * weight[c] * taken
@@ -63,8 +64,8 @@ def scatter(dofs, total, out):
 
 
 @njit(cache=True, fastmath=FAST)
-def transport_matrix(dofs, grad, volume, density, stress, dt, phi1, rate, flux, open_node, theta, u, values, rhs):
-    """Element matrices of lumped mass, skew-symmetric convection by the mass flux, and viscosity; one theta step of both.
+def transport_matrix(dofs, grad, volume, density, stress, dt, phi1, rate, flux, open_node, thetas, u, values, rhs):
+    """Element matrices of lumped mass, skew-symmetric convection and viscosity; one theta step of both, theta by cell.
 
     ``stress`` is the cell's share of the stress times the viscosity. The void fraction's rate enters as the divergence that the
     flux really has (equal to it up to the solver's tolerance), so that momentum is kept to round-off; nodes of outlets, where
@@ -75,7 +76,7 @@ def transport_matrix(dofs, grad, volume, density, stress, dt, phi1, rate, flux, 
     share = 1.0 / m
     out, old = np.empty(m), np.empty((m, d))
     for c in range(n):
-        vol = volume[c]
+        vol, theta = volume[c], thetas[c]
         for i in range(m):
             out[i] = 0.0
             for k in range(d):
@@ -144,7 +145,7 @@ def fix_rows(dofs, fixed, values, lift, boundary):
 
 
 @njit(cache=True, fastmath=FAST)
-def memory(dofs, mass0, mass1, q, u, h, dt, nu, gain, nodal_gain, kept, defect):
+def memory(dofs, mass0, mass1, q, u, h, dt, nu, damping, gain, nodal_gain, kept, defect):
     """What the nodes do not carry, r = q - mean u, fades at a rate k; ``defect`` gets the momentum that lost, per node.
 
     Drag and pressure feed r with a = gain - mean nodal gain, as of the last step. They act after the fading, over a whole step;
@@ -158,7 +159,7 @@ def memory(dofs, mass0, mass1, q, u, h, dt, nu, gain, nodal_gain, kept, defect):
         for k in range(d):
             speed += q[c, k] * q[c, k]
         rate = fading_rate(speed, h[c], nu)
-        theta, lag = np.exp(-dt * rate), lag_of(rate, dt, rate, h[c], nu)
+        theta, lag = np.exp(-dt * rate), lag_of(rate, dt, rate, h[c], nu, damping[c])
         for k in range(d):
             mean, rise = 0.0, 0.0
             for i in range(m):

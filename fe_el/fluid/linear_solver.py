@@ -15,6 +15,8 @@ class SolverDiverged(RuntimeError):
 
 FALLBACKS = (("gmres", "asm"), ("preonly", "lu"))  # tried in this order when the chosen method fails
 
+TRUCE = 50  # solves in which a method that has failed is not tried again
+
 
 class ElementMatrix:
     """Square sparse matrix that is the sum of element matrices (cells, m, m) on the nodes of a P1 space."""
@@ -76,7 +78,7 @@ class LinearSolver:
         if smooth:
             options.delValue(coarse)
         self.x, self.b = matrix.createVecs()
-        self.iterations, self.fallbacks, self.comm = 0, 0, matrix.comm.tompi4py()
+        self.iterations, self.fallbacks, self.resort, self.comm = 0, 0, 0, matrix.comm.tompi4py()
 
     def new_values(self):
         """Say that the matrix has new values: the preconditioner is renewed once it costs twice the iterations."""
@@ -95,10 +97,11 @@ class LinearSolver:
         self.b.array[:] = rhs
         if self.nullspace:
             self.nullspace.remove(self.b)
-        if self._try(self.ksp, guess):
+        self.resort -= self.resort > 0
+        if not self.resort and self._try(self.ksp, guess):
             self.best = self.iterations if self.best is None else self.best
             return self.x.array
-        if self.best is not None:
+        if not self.resort and self.best is not None:
             self.ksp.getPC().setReusePreconditioner(False)
             self.ksp.setOperators(self.matrix)
             self.best = None
@@ -110,7 +113,7 @@ class LinearSolver:
             done, reason, history = self._try(ksp, np.zeros_like(guess)), ksp.getConvergedReason(), ksp.getConvergenceHistory()
             ksp.destroy()
             if done:
-                self.fallbacks += 1
+                self.fallbacks, self.resort = self.fallbacks + 1, self.resort or TRUCE
                 return self.x.array
         history = ", ".join(f"{r:.3g}" for r in history[-6:])
         raise SolverDiverged(f"The {self.name} solve failed (PETSc reason {reason}) after {self.iterations} "

@@ -60,7 +60,7 @@ class Scalar:
         flux = air.step_flux
         old, rhs, values = c[:, None].copy(), np.zeros((air.nodes, 1)), self.matrix.values
         kernels.transport_matrix(air.dofs, air.gradient, air.volume, air.density, air.density * phi1 * self.diffusivity, dt, phi1,
-                                 air.rate, flux, air.fixed_pressure, 1.0, old, values, rhs)
+                                 air.rate, flux, air.fixed_pressure, np.ones(air.num_cells), old, values, rhs)
         for facets, _ in air.outlets:
             kernels.open_boundary(facets.cell, facets.local, facets.area_normal, flux, values)
         mass0, mass1 = np.zeros((air.nodes, 1)), np.zeros((air.nodes, 1))

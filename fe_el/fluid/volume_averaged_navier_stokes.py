@@ -160,6 +160,7 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         flux = self.step_flux = self._mass_flux(dt, phi0, q, rate0)
         self.time, self.step = self.time + dt, self.step + 1
         self.second_order = self.time_order == 2 and self.step > START_STEPS and not self.upwind
+        self.damping = drag * dt / (self.density * phi + drag * dt)
         u = self._relax(dt, phi0, q)
         self.set_boundary_values(phi)
         nodal = self._transport_step(dt, phi0, phi, flux, u)
@@ -204,7 +205,7 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         self.mass0, part = self.nodal_zeros(()), self.nodal_zeros(())
         misfit, feed = self.nodal_zeros((d,)), self.nodal_zeros((d,))
         start = self.nodal_zeros((d,)) if self.nodal_velocity is None else self.nodal_velocity
-        kernels.mass_and_misfit(self.dofs, self.cell_mass0, q, start, self.h, self.viscosity / self.density, dt, self.gain,
+        kernels.mass_and_misfit(self.dofs, self.cell_mass0, q, start, self.h, self.viscosity / self.density, dt, self.damping, self.gain,
                                 self.nodal_gain, self.mass0, misfit, part, feed)
         if self.upwind:  # towards the plain mean of the cells, which stays in their range
             misfit, feed = self.nodal_zeros((d,)), 0.0
@@ -221,7 +222,10 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
     def _transport_step(self, dt, phi0, phi, flux, u):
         """Stage 2: convection and viscosity of the nodal velocity, implicit, skew-symmetric, conserving momentum."""
         d, values = self.dimension, self._transport.values
-        theta, share = (0.5, 0.5 * (phi0 + phi)) if self.second_order else (1.0, phi)
+        theta, share = np.ones(self.num_cells), phi
+        if self.second_order:  # 1/2, and more where viscosity is so fast that half a step of it would only ring
+            z = np.clip(0.04 * self.viscosity / self.density * dt / self.h ** 2, 1e-3, 500)
+            theta, share = np.where(z > 1e-3, 1 / -np.expm1(-z) - 1 / z, 0.5), 0.5 * (phi0 + phi)
         stress = self.viscosity * (np.ones_like(phi) if self.stress_of_mixture else share)
         if self.turbulence is not None:
             stress = stress + self.density * share * self.turbulence(self, u)
@@ -264,8 +268,8 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         """What the nodes cannot represent fades at the rate of convection and viscosity; its momentum is kept."""
         d = self.dimension
         kept, defect = np.empty_like(q), self.nodal_zeros((d,))
-        kernels.memory(self.dofs, self.cell_mass0, self.cell_mass, q, u, self.h, dt, self.viscosity / self.density, self.gain,
-                       self.nodal_gain, kept, defect)
+        kernels.memory(self.dofs, self.cell_mass0, self.cell_mass, q, u, self.h, dt, self.viscosity / self.density, self.damping,
+                       self.gain, self.nodal_gain, kept, defect)
         self.complete(defect)
         self._correction = defect / self.mass[:, None]
         return kept

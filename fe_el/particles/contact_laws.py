@@ -135,7 +135,10 @@ class LinearSpringDashpot(_Law):
         self.stiffness = self.table[:, :, 0].max()
 
     def contact_time(self, reduced_mass, reduced_radius=None, speed=None):
-        """Duration of the shortest collision [s]: pi / sqrt(k/m* - eta^2/(4 m*^2)), over all pairs of materials."""
+        """Duration of the shortest collision [s]: pi / sqrt(k/m* - eta^2/(4 m*^2)), over all pairs of materials.
+
+        Masses and radii are numbers, or (materials, materials).
+        """
         period = np.pi * np.sqrt(reduced_mass / self.table[:, :, 0]) / np.sqrt(1 - self.damping ** 2 / 4)
         return float(period.min())
 
@@ -177,5 +180,5 @@ class HertzMindlin(_Law):
 
     def contact_time(self, reduced_mass, reduced_radius, speed):
         """Duration of a collision at the relative speed [s]: 2.94328 (15 m* v^2/(16 E* sqrt R*))^0.4 / v."""
-        deepest = (15 * reduced_mass * speed ** 2 / (16 * self.stiffness * np.sqrt(reduced_radius))) ** 0.4
-        return float(2.94328 * deepest / speed)
+        deepest = (15 * reduced_mass * speed ** 2 / (16 * self.table[:, :, 0] * np.sqrt(reduced_radius))) ** 0.4
+        return float((2.94328 * deepest / speed).min())

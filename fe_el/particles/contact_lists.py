@@ -58,9 +58,8 @@ class ContactLists:
         """Locate, migrate, sort, exchange ghosts and make the lists, keeping the springs of live contacts."""
         p, comm = self.particles, self.particles.comm
         kept = self._collect(step, layout)
-        largest, speed = largest_of(comm, p.diameter.max() if len(p) else 0.0, p.speed())
-        total = comm.allreduce(np.array([p.diameter.sum(), len(p)]))
-        self._choose_skin(total[0] / max(total[1], 1), largest, speed, h)
+        largest, speed, inverse = largest_of(comm, *((p.diameter.max(), p.speed(), 1 / p.diameter.min()) if len(p) else np.zeros(3)))
+        self._choose_skin(1 / max(inverse, 1e-300), largest, speed, h)
         self._check_period(largest)
         p.reach_halo(2 * (largest + self.skin))
         if self.facets is not None and (self._reach < largest / 2 + self.skin or self._cells is not p.cells):
@@ -78,16 +77,16 @@ class ContactLists:
         self.x0, self.age = p.position.copy(), 0
         self.rebuilds += 1
 
-    def _choose_skin(self, mean, largest, speed, h):
+    def _choose_skin(self, smallest, largest, speed, h):
         """A skin that lasts some tens of sub-steps; always several sub-steps of the fastest particle."""
         if self._skin is None:
             if self.skin is None:
-                self.skin = 0.1 * mean
-            elif self.age < 30:
+                self.skin = 0.2 * smallest
+            elif self.age < 80:
                 self.skin *= 1.25
-            elif self.age > 120:
+            elif self.age > 200:
                 self.skin *= 0.9
-            self.skin = min(max(self.skin, 0.04 * mean), 0.4 * mean)
+            self.skin = min(max(self.skin, 0.04 * smallest), 0.3 * smallest)
             self.skin = max(self.skin, 6 * h * speed)
         elif 4 * h * speed > self.skin:
             raise ValueError(f"The fastest particle moves {h * speed:g} m in one sub-step of {h:g} s, too much for the skin of "

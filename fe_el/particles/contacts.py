@@ -56,7 +56,7 @@ class Contacts:
             raise ValueError("An ArrayLaw acts between particles only; give walls a wall_law, for instance HertzMindlin.")
         self._check_materials()
         self.lists = contact_lists.ContactLists(particles, self.walls, skin, self._spring_width())
-        self.block, self.step, self.layout = new_block(), 1, None
+        self.block, self.step, self.layout, self.stale = new_block(), 1, None, False
         self.seconds = {"neighbours": 0.0, "contacts": 0.0}
         self.touching, self.touching_walls, self.largest_overlap, self.steps_last, self.behind = 0, 0, 0.0, 0, None
 
@@ -80,16 +80,33 @@ class Contacts:
     def step_limit(self):
         """Largest sub-step [s]: the shortest contact time in the run over ``steps_per_contact``."""
         p = self.particles
-        extremes = (1 / p.mass.min(), 2 / p.diameter.min(), p.speed(), p.diameter.max()) if len(p) else np.zeros(4)
-        light, small, speed, largest = largest_of(p.comm, *extremes)
+        count = max(getattr(law, "materials", None) or 1 for law in (self.law, self.wall_law))
+        light, small = np.zeros(count), np.zeros(count)  # inverse of the least mass and radius of each material
+        kind = np.minimum(p.material, count - 1)
+        np.maximum.at(light, kind, 1 / p.mass)
+        np.maximum.at(small, kind, 2 / p.diameter)
+        extremes = (p.speed(), p.diameter.max()) if len(p) else np.zeros(2)
+        speed, largest, *rest = largest_of(p.comm, *extremes, *light, *small)
+        light, small = np.array(rest).reshape(2, count)
         if not largest > 0:
             raise ValueError("There are no particles; insert some before advancing contacts.")
-        mass, radius = 1 / light, 1 / small
         speed = max(2 * speed, np.sqrt(np.linalg.norm(p.gravity) * largest), 1e-3)
-        times = [self.law.contact_time(mass / 2, radius / 2, speed)]
+        there = light > 0
+        times = [self._shortest(self.law, light + light[:, None], small + small[:, None], there & there[:, None], speed)]
         if self.walls:
-            times.append(self.wall_law.contact_time(mass, radius, speed))
+            times.append(self._shortest(self.wall_law, light[:, None] + 0 * light, small[:, None] + 0 * small,
+                                        there[:, None] & (light > -1), speed))
         return min(times) / self.steps_per_contact
+
+    @staticmethod
+    def _shortest(law, inverse_mass, inverse_radius, there, speed):
+        """Shortest contact time of the pairs of materials that are ``there`` [s]."""
+        pairs = getattr(law, "materials", None) or 1
+        if pairs < len(there):  # one law for all materials
+            inverse_mass, inverse_radius, there = inverse_mass.max(keepdims=True), inverse_radius.max(keepdims=True), np.ones((1, 1), bool)
+        mass, radius = 1 / np.where(there, inverse_mass, np.inf), 1 / np.where(there, inverse_radius, np.inf)
+        mass, radius = np.where(there, mass, np.inf), np.where(there, radius, 1.0)
+        return law.contact_time(mass, radius, speed)
 
     def advance(self, dt):
         """Advance the particles by ``dt`` [s] in velocity Verlet sub-steps."""
@@ -102,6 +119,8 @@ class Contacts:
         if self.layout != p.layout:
             self._rebuild(h)
             self._first_forces()
+        elif self.stale:
+            self._rebuild(h)
         p.properties["_start_velocity"] = p.velocity.copy()
         while done < self.steps_last:
             tick = time.perf_counter()
@@ -122,7 +141,7 @@ class Contacts:
         self.seconds["neighbours"] += time.perf_counter() - tick
 
     def _run(self, h, most):
-        """Sub-steps until the neighbour list is out of date; returns how many."""
+        """Sub-steps until the neighbour list is out of date (``stale``), at most ``most``; returns how many."""
         p, n, lists = self.particles, len(self.particles), self.lists
         x, v, w = lists.pack()
         mass = p.mass
@@ -145,7 +164,8 @@ class Contacts:
             lists.age += 1
             if p.comm.size > 1:
                 moved = p.comm.allreduce(moved, op=MPI.MAX)
-            last = steps == most or not math.sqrt(moved) + wall_speed * h * lists.age <= 0.5 * lists.skin
+            self.stale = not math.sqrt(moved) + wall_speed * h * lists.age <= 0.5 * lists.skin
+            last = steps == most or self.stale
             moved = self._forces(x, v, w, force, torque, h, None if last else drift)
             if last:
                 break
