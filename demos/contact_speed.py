@@ -53,6 +53,7 @@ def settled_tile(steps):
     contacts = fe_el.Contacts(beads, contact_law(), (tags, 5), steps_per_contact=22)
     for _ in range(max(steps // 100, 1)):
         beads.advance(100 * CONTACT_STEP, contacts)
+    beads.locate()  # back into the periodic box
     parts = beads.comm.allgather((beads.id, beads.position, beads.velocity))
     ids, x, v = (np.concatenate([p[i] for p in parts]) for i in range(3))
     order = np.argsort(ids)

@@ -235,7 +235,7 @@ def test_a_random_pile_comes_to_rest_and_does_not_creep():
     p.velocity[:] = np.random.default_rng(1).normal(size=(300, 3)) * 0.3
     friction = fe_el.RollingFriction(0.05, elastic_plastic=True, torsion=True)
     c = fe_el.Contacts(p, fe_el.LinearSpringDashpot(2000.0, 0.7, 0.3, rolling=friction), (tags, (1, 2, 3, 4, 5, 6)))
-    for _ in range(400):
+    for _ in range(600):
         p.advance(2e-3, c)
     before = p.position[np.argsort(p.id)].copy()
     for _ in range(100):

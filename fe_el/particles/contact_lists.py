@@ -81,7 +81,7 @@ class ContactLists:
         """A skin that lasts some tens of sub-steps; always several sub-steps of the fastest particle."""
         if self._skin is None:
             if self.skin is None:
-                self.skin = 0.2 * smallest
+                self.skin = 0.1 * smallest
             elif self.age < 80:
                 self.skin *= 1.25
             elif self.age > 200:

@@ -10,7 +10,7 @@ from fe_el.exchange import largest_of, raise_everywhere
 from fe_el.particles import contact_lists, motion
 from fe_el.particles.array_law import ArrayLaw, array_forces
 from fe_el.particles.law_kernels import new_block
-from fe_el.particles.pair_forces import pair_forces, pair_forces_and_drift
+from fe_el.particles.pair_forces import pair_forces
 from fe_el.particles.particles import LostParticle
 from fe_el.particles.wall_shapes import FacetWalls, move_walls, shape_forces
 from fe_el.particles.walls import facet_forces
@@ -149,11 +149,12 @@ class Contacts:
         force, torque = np.zeros_like(x), np.zeros_like(x)
         force[:n], torque[:n] = external + p.contact_force, p.contact_torque
         inverse_inertia = 10.0 / (mass * p.diameter ** 2)
-        steps, wall_speed = 0, lists.wall_speed()
-        drift = (external, inverse_inertia, lists.x0)
-        moved = motion.kick_and_drift(x, v, w, force, torque, external, lists.inverse_mass, inverse_inertia, lists.x0, 0.5, h, 0, n)
-        while True:
-            steps += 1
+        part, steps, wall_speed = 0.5, 0, lists.wall_speed()
+        self.stale = False
+        while steps < most and not self.stale:
+            moved = motion.kick_and_drift(x, v, w, force, torque, external, lists.inverse_mass, inverse_inertia, lists.x0,
+                                          part, h, n)
+            part, steps = 1.0, steps + 1
             if lists.ghosts.busy:
                 lists.ghosts.forward_position(x)
                 for a in (v, w):
@@ -161,14 +162,11 @@ class Contacts:
                 force[n:] = torque[n:] = 0.0
             if lists.has_shapes:
                 move_walls(lists.kind, lists.shape, lists.motion, h)
+            self._forces(x, v, w, force, torque, h)
             lists.age += 1
             if p.comm.size > 1:
                 moved = p.comm.allreduce(moved, op=MPI.MAX)
             self.stale = not math.sqrt(moved) + wall_speed * h * lists.age <= 0.5 * lists.skin
-            last = steps == most or self.stale
-            moved = self._forces(x, v, w, force, torque, h, None if last else drift)
-            if last:
-                break
         self._check_behind()
         self._check_finite(x[:n], force[:n])
         motion.kick(v, w, force, torque, lists.inverse_mass, inverse_inertia, 0.5 * h, n)
@@ -196,31 +194,20 @@ class Contacts:
                        "law: insert without overlap, or use more steps_per_contact.")
         raise_everywhere(p.comm, FloatingPointError, message)
 
-    def _forces(self, x, v, w, force, torque, h, drift=None):
-        """Wall and pair forces at one instant, added to ``force`` and ``torque``.
-
-        With ``drift`` (external forces, inverse inertia, reference positions) the particles also move on by a step; returns
-        the largest squared displacement from the reference then.
-        """
+    def _forces(self, x, v, w, force, torque, h):
+        """Wall and pair forces at one instant, added to ``force`` and ``torque``."""
         lists, material = self.lists, self.lists.material
         self.step += 1
         state = (x, v, w, force, torque, lists.radius, lists.inverse_mass)
         if self.walls:
             self._wall_forces(state, material, h)
         pairs = (lists.first, lists.second, lists.springs[0], lists.stamps[0])
-        moved, owned = None, len(self.particles)
         if isinstance(self.law, ArrayLaw):
             touching, overlap = array_forces(self.law, *state, *pairs, self.step, h)
-            if drift is not None:
-                moved = motion.kick_and_drift(x, v, w, force, torque, drift[0], lists.inverse_mass, *drift[1:], 1.0, h, 0, owned)
-        elif drift is None:
-            touching, overlap = pair_forces(*state, material, *pairs, self.step, self.block, self.law.numbers, h)
         else:
-            touching, overlap, moved = pair_forces_and_drift(*state, material, *pairs, self.step, self.block, self.law.numbers, h,
-                                                             *drift, owned)
+            touching, overlap = pair_forces(*state, material, *pairs, self.step, self.block, self.law.numbers, h)
         self.touching = touching + self.touching_walls
         self.largest_overlap = max(self.largest_overlap, overlap)
-        return moved
 
     def _wall_forces(self, state, material, h):
         """Forces of facets, planes and cylinders."""

@@ -15,13 +15,10 @@ def kick(v, w, force, torque, inverse_mass, inverse_inertia, h, owned):
 
 
 @njit(cache=True, fastmath=FAST)
-def kick_and_drift(x, v, w, force, torque, external, inverse_mass, inverse_inertia, x0, part, h, begin, end):
-    """Kick particles from ``begin`` to ``end`` by ``part`` of a step, drift them by a step, reset their forces.
-
-    Returns the largest squared displacement from x0.
-    """
+def kick_and_drift(x, v, w, force, torque, external, inverse_mass, inverse_inertia, x0, part, h, owned):
+    """Kick by ``part`` of a step, drift by a step, reset the forces; returns the largest squared displacement from x0."""
     largest = 0.0
-    for i in range(begin, end):
+    for i in range(owned):
         a, b, s = part * h * inverse_mass[i], part * h * inverse_inertia[i], 0.0
         for k in range(3):
             v[i, k] += a * force[i, k]

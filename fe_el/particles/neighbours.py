@@ -31,7 +31,7 @@ def _classes(radius, smallest, count):
 
 @njit(cache=True)
 def _search(x, radius, level, owned, skin, lower, size, shape, offset, first, second):
-    """Fill the pairs closer than the skin, the first one owned and the smaller number; returns their number (beyond the capacity: only counted)."""
+    """Fill the pairs closer than the skin, the first one owned; returns their number (beyond the capacity: only counted)."""
     m, grids = len(x), len(size)
     head, following = np.full(offset[grids], -1, np.int32), np.empty(m, np.int32)
     for i in range(m - 1, -1, -1):
@@ -57,7 +57,7 @@ def _search(x, radius, level, owned, skin, lower, size, shape, offset, first, se
                                 reach = radius[i] + radius[j] + skin
                                 if dx * dx + dy * dy + dz * dz < reach * reach:
                                     if number < len(first):
-                                        swap = i >= owned or j < i
+                                        swap = i >= owned
                                         first[number], second[number] = (j, i) if swap else (i, j)
                                     number += 1
                             j = following[j]
@@ -81,10 +81,7 @@ def _by_first(first, second, owned):
 
 
 def neighbour_pairs(x, radius, owned, skin):
-    """Pairs (first, second) closer than the skin, each once, in the order of the first, which is owned and the smaller number.
-
-    So a particle has all its forces once the pairs of which it is the first are done.
-    """
+    """Pairs (first, second) closer than the skin, each once, the first one owned, in the order of the first."""
     empty = np.empty(0, np.int32)
     if owned == 0:
         return empty, empty

@@ -3,7 +3,6 @@ import numpy as np
 from numba import njit
 
 from fe_el.particles.law_kernels import BLOCK, FAST, apply_law, constant_rows
-from fe_el.particles.motion import kick_and_drift
 
 B = BLOCK
 
@@ -101,32 +100,6 @@ def pair_forces(x, v, w, force, torque, radius, inverse_mass, material, first, s
         scatter(b, m, at, first, second, force, torque, radius, spring, numbers.rolls > 0)
         touching += m
     return touching, 0.5 * deepest
-
-
-@njit(cache=True, fastmath=FAST)
-def pair_forces_and_drift(x, v, w, force, torque, radius, inverse_mass, material, first, second, spring, stamp, step, b, numbers, h,
-                          external, inverse_inertia, x0, owned):
-    """As :func:`pair_forces`, and every owned particle moves on as soon as it has all its forces, while it is in the cache.
-
-    Other forces must be there before. Returns also the largest squared displacement from ``x0``.
-    """
-    touching, deepest, moved, k, done = 0, 0.0, 0.0, 0, 0
-    at = np.empty(B, np.int64)
-    uniform = constant_rows(b, numbers)
-    while k < len(first):
-        m, k = next_block(b, at, x, radius, first, second, k)
-        deepest = max(deepest, gather(b, m, at, first, second, v, w, radius, inverse_mass, material, spring, stamp, step,
-                                      numbers, uniform))
-        apply_law(b, m, h, numbers)
-        scatter(b, m, at, first, second, force, torque, radius, spring, numbers.rolls > 0)
-        touching += m
-        ready = first[k] if k < len(first) else owned
-        far = kick_and_drift(x, v, w, force, torque, external, inverse_mass, inverse_inertia, x0, 1.0, h, done, ready)
-        if not far <= moved:
-            moved = far
-        done = ready
-    far = kick_and_drift(x, v, w, force, torque, external, inverse_mass, inverse_inertia, x0, 1.0, h, done, owned)
-    return touching, 0.5 * deepest, far if not far <= moved else moved
 
 
 @njit(cache=True)
