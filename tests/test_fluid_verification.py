@@ -278,3 +278,17 @@ def test_bad_numbers_are_refused():
     air.body_force = np.nan
     with pytest.raises(ValueError, match="finite"):
         air.advance(0.1)
+
+
+def test_petsc_options_reach_each_solver():
+    """An option with a solver's prefix changes that solver, and no other."""
+    from petsc4py import PETSc
+    options = PETSc.Options()
+    options["pressure_ksp_type"] = "fgmres"
+    try:
+        mesh, _ = fe_el.box((1.0, 1.0), (4, 4))
+        air = fe_el.VolumeAveragedNavierStokes(mesh)
+        air.advance(0.1)
+    finally:
+        options.delValue("pressure_ksp_type")
+    assert air.pressure_solver.ksp.getType() == "fgmres" and air.transport_solver.ksp.getType() == "bcgs"
