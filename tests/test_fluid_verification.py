@@ -292,3 +292,25 @@ def test_petsc_options_reach_each_solver():
     finally:
         options.delValue("pressure_ksp_type")
     assert air.pressure_solver.ksp.getType() == "fgmres" and air.transport_solver.ksp.getType() == "bcgs"
+
+
+def test_a_solver_falls_back_and_returns_to_its_own_method():
+    """What the chosen method cannot solve the next one does, and stays in use; if that fails in turn, the chosen one is tried."""
+    mesh, _ = fe_el.box((1.0, 1.0), (4, 4))
+    air = fe_el.VolumeAveragedNavierStokes(mesh)
+    air.advance(0.1)
+    solver, rhs = air.transport_solver, np.random.default_rng(1).normal(size=air.owned_nodes)
+    exact = solver.solve(rhs, np.zeros_like(rhs)).copy()
+    solver.ksp.setTolerances(rtol=1e-12, max_it=1)
+    found = solver.solve(rhs, np.zeros_like(rhs)).copy()
+    assert solver.fallbacks == 1 and solver.resort > 1 and np.allclose(found, exact, rtol=1e-6, atol=1e-6 * np.abs(exact).max())
+    solver.ksp.setTolerances(rtol=1e-8, max_it=500)
+    plain = solver._fallback
+
+    def stunted(*names):
+        ksp = plain("gmres", "none")
+        ksp.setTolerances(rtol=1e-30, atol=1e-300, max_it=1)
+        return ksp
+    solver._fallback = stunted
+    found = solver.solve(rhs, np.zeros_like(rhs)).copy()
+    assert solver.resort == 0 and np.allclose(found, exact, rtol=1e-6, atol=1e-6 * np.abs(exact).max())

@@ -115,6 +115,9 @@ class LinearSolver:
             if done:
                 self.fallbacks, self.resort = self.fallbacks + 1, self.resort or TRUCE
                 return self.x.array
+        if self.resort:  # the chosen method was left out
+            self.resort = 0
+            return self.solve(rhs, guess)
         history = ", ".join(f"{r:.3g}" for r in history[-6:])
         raise SolverDiverged(f"The {self.name} solve failed (PETSc reason {reason}) after {self.iterations} "
                              f"iterations for a right-hand side of {self.b.norm():g}; last residuals {history}. Use a smaller "
