@@ -28,6 +28,8 @@ def arguments():
     p.add_argument("--drag", default="beetstra", help="name of the drag law")
     p.add_argument("--mapping", default="satellite_points", help="name of the mapping: " + ", ".join(sorted(fe_el.mapping.MAPPINGS)))
     p.add_argument("--fluid-velocity", default="cell", help="at the particle: cell or linear")
+    p.add_argument("--fluid-steps", type=int, default=1, help="steps of the fluid in one")
+    p.add_argument("--positions", default="start", help="of the particles that are mapped: start or middle of the step")
     p.add_argument("--contacts", action="store_true", help="resolve contacts")
     p.add_argument("--coarse-graining", type=float, default=1.0, help="parcel diameter over particle diameter")
     p.add_argument("--end-time", type=float, default=0.5, help="simulated time [s]")
@@ -41,7 +43,7 @@ class Suspension:
     """Fluid, particles and coupling in a periodic box that carries its weight by a mean pressure gradient."""
 
     def __init__(self, diameter, particle_density, solid_fraction, box, cells, coupling, drag, mapping, fluid_velocity,
-                 smoothing_length, coarse_graining, contacts, seed, tolerance=1e-10):
+                 smoothing_length, coarse_graining, contacts, seed, fluid_steps=1, positions="start", tolerance=1e-10):
         lengths = np.array(box, float) * diameter
         self.mesh, _ = fe_el.periodic_box(lengths, cells)
         size = coarse_graining * diameter
@@ -59,9 +61,12 @@ class Suspension:
                                  without_overlap=bool(contacts), coarse_graining=coarse_graining)
         self.air.set_initial_velocity((0, 0, fall + self.slip))
         smoothing = fe_el.HelmholtzSmoothing(self.mesh, smoothing_length * diameter) if smoothing_length else None
-        self.coupling = fe_el.Coupling(self.beads, self.air.velocity, self.air.pressure, GAS_DENSITY, GAS_VISCOSITY,
+        self.fluid = fe_el.SubCycled(self.air, fluid_steps) if fluid_steps > 1 else self.air
+        mean = {"mean_velocity": self.fluid.mean_velocity} if fluid_steps > 1 else {}
+        pressure = self.fluid.mean_pressure if mean else self.air.pressure
+        self.coupling = fe_el.Coupling(self.beads, self.air.velocity, pressure, GAS_DENSITY, GAS_VISCOSITY,
                                        [law, fe_el.PressureGradient(-mixture * down)], coupling, mapping, smoothing,
-                                       fluid_velocity)
+                                       fluid_velocity, positions=positions, **mean)
         self.contacts, self.count = None, count
         self.weight = count * np.pi / 6 * size ** 3 * particle_density * GRAVITY
         if contacts:
@@ -73,7 +78,7 @@ class Suspension:
     def advance(self, dt):
         """One time step."""
         self.coupling.to_fluid(dt)
-        self.air.advance(dt, self.coupling.fields)
+        self.fluid.advance(dt, self.coupling.fields)
         self.coupling.to_particles(dt)
         self.beads.advance(dt, self.contacts)
 
@@ -114,7 +119,7 @@ def mean_and_error(values, blocks=8):
 
 def main(diameter=150e-6, particle_density=1500.0, solid_fraction=0.1, box=(48.0, 48.0, 96.0), cells=(6, 6, 12),
          coupling="conservative", dt_star=1.0, smoothing_length=None, drag="beetstra", mapping="satellite_points",
-         fluid_velocity="cell", contacts=False, coarse_graining=1.0, end_time=0.5, seed=1, output_every=0.05,
+         fluid_velocity="cell", fluid_steps=1, positions="start", contacts=False, coarse_graining=1.0, end_time=0.5, seed=1, output_every=0.05,
          output="out/sedimenting_suspension", progress=True):
     """Run the suspension and return the summary."""
     if not 0 < solid_fraction < 0.6 or not dt_star > 0:
@@ -122,7 +127,7 @@ def main(diameter=150e-6, particle_density=1500.0, solid_fraction=0.1, box=(48.0
                          "positive step.")
     logging.getLogger().setLevel(logging.WARNING)
     scene = Suspension(diameter, particle_density, solid_fraction, box, cells, coupling, drag, mapping, fluid_velocity,
-                       smoothing_length, coarse_graining, contacts, seed)
+                       smoothing_length, coarse_graining, contacts, seed, fluid_steps, positions)
     beads, comm = scene.beads, scene.beads.comm
     tau_f = float(fe_el.time_scales.fluid_relaxation_time(diameter, GAS_DENSITY, GAS_VISCOSITY, scene.solid))
     dt = dt_star * tau_f
@@ -151,7 +156,7 @@ def main(diameter=150e-6, particle_density=1500.0, solid_fraction=0.1, box=(48.0
     re = GAS_DENSITY * (1 - scene.solid) * scene.slip * diameter / GAS_VISCOSITY
     numbers = {
         "particles": beads.total_number, "cells": comm.allreduce(scene.air.num_cells), "coupling": coupling, "mapping": mapping,
-        "dt_star": dt_star, "time_step": dt, "end_time": end_time, "steps": len(rows), "slip_velocity": slip,
+        "fluid_steps": fluid_steps, "positions": positions, "dt_star": dt_star, "time_step": dt, "end_time": end_time, "steps": len(rows), "slip_velocity": slip,
         "slip_velocity_error": error, "homogeneous_slip": scene.slip, "drift_over_weight": drift, "stable": stable,
         "tau_f": tau_f, "tau_f_drag_law": float(fe_el.time_scales.fluid_relaxation_time(
             diameter, GAS_DENSITY, GAS_VISCOSITY, scene.solid, law, re)),

@@ -24,7 +24,7 @@ class Coupling:
     Args:
         particles (Particles): the particles.
         velocity: the fluid's interstitial velocity, a vector Function or UFL expression [m/s].
-        pressure: its pressure, a Function or UFL expression [Pa].
+        pressure: its pressure, of the middle of the step, a Function or UFL expression [Pa].
         fluid_density, fluid_viscosity (float): [kg/m^3], [Pa s].
         forces: list of :class:`Drag`, :class:`PressureGradient`, :class:`ViscousStress`, :class:`Buoyancy`.
         scheme (str): ``conservative``, ``explicit``, ``implicit``, ``split`` or ``void_cells_explicit``.
@@ -34,6 +34,10 @@ class Coupling:
         fluid_velocity (str): velocity at the particle: ``cell`` means, or ``linear`` interpolation between vertices; the
             difference of the two lags by a step, and momentum stays exact.
         largest_solid_fraction (float): cells that hold more hand the excess to their neighbours, conservatively.
+        positions (str): the particles' positions that are mapped: of the ``start`` of the step, or of its ``middle``, where their
+            velocities take them; the latter is more accurate with :class:`SubCycled`, and less without.
+        mean_velocity: mean of the velocity that drag acted on in the step, for a fluid that makes several of its own (as
+            :class:`SubCycled`, with its mean pressure for ``pressure``); absent: ``velocity``.
 
     Attributes:
         fields: (void fraction DG0, drag coefficient A DG0 [kg/(m^3 s)], momentum source B DG0 vector [N/m^3]).
@@ -50,7 +54,8 @@ class Coupling:
     """
 
     def __init__(self, particles, velocity, pressure, fluid_density, fluid_viscosity, forces, scheme="conservative",
-                 mapping="satellite_points", smoothing=None, fluid_velocity="cell", largest_solid_fraction=0.74):
+                 mapping="satellite_points", smoothing=None, fluid_velocity="cell", largest_solid_fraction=0.74,
+                 positions="start", mean_velocity=None):
         for name, value in (("fluid density", fluid_density), ("fluid viscosity", fluid_viscosity)):
             if not (value > 0 and np.isfinite(value)):
                 raise ValueError(f"The {name} is {value}; it must be finite and greater than zero.")
@@ -58,13 +63,16 @@ class Coupling:
             raise ValueError(f"largest_solid_fraction is {largest_solid_fraction}; it must be between 0 and 1.")
         if fluid_velocity not in ("cell", "linear"):
             raise ValueError(f"fluid_velocity is {fluid_velocity!r}; use 'cell' or 'linear'.")
+        if positions not in ("start", "middle"):
+            raise ValueError(f"positions is {positions!r}; use 'start' or 'middle'.")
         unknown = [f for f in forces if not isinstance(f, FORCES)]
         if unknown:
             raise ValueError(f"{unknown[0]!r} is no force; forces are Drag(law), PressureGradient(), ViscousStress() and "
                              "Buoyancy().")
         self.particles, self.comm, mesh = particles, particles.comm, particles.mesh
         self.density, self.viscosity, self.largest = fluid_density, fluid_viscosity, largest_solid_fraction
-        self.dimension = d = mesh.topology.dim
+        self.dimension, self.ahead = mesh.topology.dim, 0.5 if positions == "middle" else 0.0
+        d = self.dimension
         self.drag, self.pressure_force, viscous, self.buoyancy = (
             next((f for f in forces if isinstance(f, kind)), None) for kind in FORCES)
         self.mapping, self.smoothing, self.scheme = _mapping.mapping_of(mapping), smoothing, scheme_of(scheme)
@@ -73,7 +81,9 @@ class Coupling:
         self.fields = (fem.Function(scalar, name="void_fraction"), fem.Function(scalar, name="drag_coefficient"),
                        fem.Function(vector, name="momentum_source"))
         self.fields[0].x.array[:] = 1.0
-        self.velocity_mean = CellMean(mesh, velocity, d)
+        self.velocity_mean = self.step_mean = CellMean(mesh, velocity, d)
+        if mean_velocity is not None:
+            self.step_mean = CellMean(mesh, mean_velocity, d)
         self.gradient_mean = PressureGradientMean(mesh, pressure, particles.cells.barycentric) if self.pressure_force else None
         self.stress_mean = ViscousStressMean(mesh, fluid_viscosity) if viscous else None
         length = getattr(smoothing, "length", None)
@@ -95,7 +105,7 @@ class Coupling:
         """
         tick = self._begin()
         p = self.particles
-        self.position_cell, position = p.located()
+        self.position_cell, position = p.located(self.ahead * dt)
         self.mapping.prepare(p.cells, self.position_cell, position, 0.5 * p.diameter)
         if self.linear is not None:
             self.linear.prepare(p.cells, self.position_cell, position, 0.5 * p.diameter)
@@ -187,7 +197,7 @@ class Coupling:
         p, d = self.particles, self.dimension
         force, volume = self.explicit_reaction.copy(), self._owned_volume()
         a, b = self.fields[1].x.array[:len(volume), None], self.fields[2].x.array.reshape(-1, d)[:len(volume)]
-        u = self.velocity_mean()
+        u = self.step_mean()
         received = (volume * (b - a * u)).sum(0)
         slope = self.gradient_mean() if self.pressure_force is not None else np.zeros((len(volume), 0))
         back = self._back(np.hstack([u, slope]))

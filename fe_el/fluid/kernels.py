@@ -173,11 +173,12 @@ def memory(dofs, mass0, mass1, q, u, h, dt, nu, damping, gain, nodal_gain, kept,
 
 
 @njit(cache=True, fastmath=FAST)
-def exchange_system(dofs, grad, volume, density, dt, phi, supply, drag, source, body, u, correction, kept, q, diagonal,
+def exchange_system(dofs, grad, volume, density, dt, phi, part, supply, drag, source, body, u, correction, kept, q, diagonal,
                     values, rhs):
     """Cell velocities before the pressure, and the Poisson system that follows from eliminating them.
 
-    Sets kept to the transported velocity and q to (rho phi/dt u_T + B + phi f) / (rho phi/dt + A).
+    Sets kept to the transported velocity and q to (rho phi/dt u_T + B + part f) / (rho phi/dt + A); ``part`` is the share of
+    pressure gradient and body force f that the fluid takes, phi unless the step is one of several.
     """
     n, m = dofs.shape
     d = q.shape[1]
@@ -190,8 +191,8 @@ def exchange_system(dofs, grad, volume, density, dt, phi, supply, drag, source, 
             for i in range(m):
                 mean += u[dofs[c, i], k] - correction[dofs[c, i], k]
             kept[c, k] += share * mean
-            q[c, k] = (inertia * kept[c, k] + source[c, k] + phi[c] * body[c, k]) / diagonal[c]
-        weight = phi[c] * phi[c] / diagonal[c] * volume[c]
+            q[c, k] = (inertia * kept[c, k] + source[c, k] + part[c] * body[c, k]) / diagonal[c]
+        weight = phi[c] * part[c] / diagonal[c] * volume[c]
         for i in range(m):
             flux = 0.0
             for k in range(d):
@@ -205,8 +206,8 @@ def exchange_system(dofs, grad, volume, density, dt, phi, supply, drag, source, 
 
 
 @njit(cache=True, fastmath=FAST)
-def pressure_step(dofs, grad, volume, density, dt, phi, diagonal, p, transported, q, gain, change):
-    """Subtract phi grad p / (rho phi/dt + A) from q; ``gain`` is the acceleration, ``change`` the momentum per time and node."""
+def pressure_step(dofs, grad, volume, density, dt, phi, part, diagonal, p, transported, q, gain, change):
+    """Subtract part grad p / (rho phi/dt + A) from q; ``gain`` is the acceleration, ``change`` the momentum per time and node."""
     n, m = dofs.shape
     d = q.shape[1]
     share = 1.0 / m
@@ -215,11 +216,11 @@ def pressure_step(dofs, grad, volume, density, dt, phi, diagonal, p, transported
             slope = 0.0
             for i in range(m):
                 slope += grad[c, i, k] * p[dofs[c, i]]
-            q[c, k] -= phi[c] / diagonal[c] * slope
+            q[c, k] -= part[c] / diagonal[c] * slope
             gain[c, k] = (q[c, k] - transported[c, k]) / dt
-            part = share * density * phi[c] * volume[c] * gain[c, k]
+            given = share * density * phi[c] * volume[c] * gain[c, k]
             for i in range(m):
-                change[dofs[c, i], k] += part
+                change[dofs[c, i], k] += given
 
 
 @njit(cache=True, fastmath=FAST)

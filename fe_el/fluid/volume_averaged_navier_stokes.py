@@ -126,12 +126,13 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
 
     # -- one step ------------------------------------------------------------------------------------------------------
 
-    def advance(self, dt, fields=None):
+    def advance(self, dt, fields=None, pressure_share=None):
         """Advance by ``dt`` [s].
 
         Args:
             fields: (void fraction, drag coefficient A, momentum source B): two DG0 Functions and a DG0 vector Function,
                 for instance ``Coupling.fields``; absent: single-phase flow.
+            pressure_share: part (cells,) of pressure gradient and body force that the fluid takes; absent: the void fraction.
 
         Raises:
             SolverDiverged: if a linear solver fails.
@@ -167,7 +168,8 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         transported = self._fade(dt, phi0, phi, q, u)
         # the rate at the end of the step, where continuity is imposed: of the parabola through three void fractions
         end_rate = self.rate + (dt / (dt + self.dt) * (self.rate - rate0) if self.second_order else 0.0)
-        self._exchange(dt, phi, end_rate, drag, source, nodal, transported)
+        share = phi if pressure_share is None else pressure_share
+        self._exchange(dt, phi, share, end_rate, drag, source, nodal, transported)
         self.void_fraction, self.void_fractions, self.dt = phi, (phi0, phi), dt
         self.seconds["fluid"] += time.perf_counter() - tick
 
@@ -274,7 +276,7 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         self._correction = defect / self.mass[:, None]
         return kept
 
-    def _exchange(self, dt, phi, rate, drag, source, nodal, transported):
+    def _exchange(self, dt, phi, share, rate, drag, source, nodal, transported):
         """Stage 3: drag and pressure together; an exact projection with the drag on the diagonal."""
         n, d, own = self.num_cells, self.dimension, self.owned_nodes
         q, diagonal, rhs = np.empty((n, d)), np.empty(n), self.nodal_zeros(())
@@ -283,8 +285,8 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         body = np.broadcast_to(body, (n, d)) + (0.0 if self.body_force is None else
                                                 self.at_cells(self.body_force, (n, d), middle))
         self.supply = rate - (0.0 if self.mass_source is None else self.at_cells(self.mass_source, (n,)))
-        kernels.exchange_system(self.dofs, self.gradient, self.volume, self.density, dt, phi, self.supply, drag, source, body,
-                                nodal, self._correction, transported, q, diagonal, self._poisson.values, rhs)
+        kernels.exchange_system(self.dofs, self.gradient, self.volume, self.density, dt, phi, share, self.supply, drag, source,
+                                body, nodal, self._correction, transported, q, diagonal, self._poisson.values, rhs)
         self.inflow = self.inflow_at(self.time)
         rhs += self.inflow
         values, lift, p = self._poisson.values, self.nodal_zeros((1,)), self.pressure.x.array
@@ -301,8 +303,8 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         p[:own] = self.pressure_solver.solve(rhs[:own], p[:own])
         self.pressure.x.scatter_forward()
         change = self.nodal_zeros((d,))
-        kernels.pressure_step(self.dofs, self.gradient, self.volume, self.density, dt, phi, diagonal, p, transported, q,
-                              self.gain, change)
+        kernels.pressure_step(self.dofs, self.gradient, self.volume, self.density, dt, phi, share, diagonal, p, transported,
+                              q, self.gain, change)
         self.complete(change)
         self.velocity.x.array.reshape(-1, d)[:n] = q
         self.velocity.x.scatter_forward()

@@ -3,7 +3,7 @@ import numpy as np
 
 from fe_el import mesh as _mesh
 from fe_el.checks import require_positive
-from fe_el.exchange import move, raise_everywhere
+from fe_el.exchange import largest_of, move, raise_everywhere
 from fe_el.particles import insertion, location
 from fe_el.particles.open_boundaries import OpenBoundaries
 
@@ -249,16 +249,34 @@ class Particles:
             for k in np.flatnonzero(self.period):
                 position[:, k] -= np.floor(position[:, k] / self.period[k]) * self.period[k]
 
-    def located(self):
+    def located(self, ahead=0.0):
         """Cell and position (wrapped into a periodic box) of every particle now, without changing the particles.
 
         A particle that is on its way out of the mesh keeps its last cell, until the next :meth:`locate` removes it or says
         that it is lost.
+
+        Args:
+            ahead (float): where its velocity takes it in that time [s]; now, if that is outside the mesh.
+
+        Note:
+            Collective.
         """
-        cell, position = self.cell.copy(), self.position.copy()
+        if ahead:
+            reach = largest_of(self.comm, *((ahead * self.speed(), self.diameter.max()) if len(self) else np.zeros(2)))
+            if reach[0] + 3 * reach[1] > self.halo_width:
+                self.reach_halo(1.5 * reach[0] + 3 * reach[1])
+        cell, position = self._walked(self.position, self.cell)
+        cell = np.where(cell < 0, self.cell, cell)
+        if ahead:
+            later, place = self._walked(self.position + ahead * self.velocity, cell)
+            cell, position = np.where(later < 0, cell, later), np.where((later < 0)[:, None], position, place)
+        return cell, position
+
+    def _walked(self, position, start):
+        """Cells, -1 outside the mesh, and wrapped positions of points that are near the cells ``start``."""
+        cell, position = start.copy(), position.copy()
         self._wrap(position)
-        if location.locate(self.cells, cell, position):
-            cell = np.where(cell < 0, self.cell, cell)
+        location.locate(self.cells, cell, position)
         return cell, position
 
     # -- motion ----------------------------------------------------------------------------------------------------

@@ -1,0 +1,65 @@
+"""Several steps of the fluid for one exchange with the particles."""
+import numpy as np
+from dolfinx import fem
+
+
+class SubCycled:
+    """Makes each step of a fluid in several, with drag coefficient and source held and the void fraction changing linearly.
+
+    For steps whose Courant number is large: particles move and exchange once, the fluid follows in smaller steps. What
+    particles receive is the mean over these steps, and the fluid takes the share of the pressure gradient that belongs to the
+    void fraction of the end throughout, so momentum of fluid and particles stays exact.
+
+        air = fe_el.VolumeAveragedNavierStokes(...)
+        steps = fe_el.SubCycled(air, 4)
+        coupling = fe_el.Coupling(beads, air.velocity, steps.mean_pressure, ..., mean_velocity=steps.mean_velocity)
+        steps.advance(dt, coupling.fields)
+
+    Args:
+        fluid (VolumeAveragedNavierStokes): the fluid.
+        steps (int): steps of the fluid in one; or absent with
+        courant (float): so many that the Courant number at the start stays below this, at most ``most``.
+        most (int): see ``courant``.
+
+    Attributes:
+        mean_velocity, mean_pressure: Functions, means over the steps of the last :meth:`advance`.
+        steps_last (int): steps of the last :meth:`advance`.
+
+    Raises:
+        ValueError: for numbers out of range.
+
+    Note:
+        Collective.
+    """
+
+    def __init__(self, fluid, steps=None, courant=None, most=64):
+        if (steps is None) == (courant is None):
+            raise ValueError("Give either steps= or courant=.")
+        if steps is not None and not (steps == int(steps) and steps >= 1):
+            raise ValueError(f"steps is {steps}; it must be a whole number, 1 or more.")
+        if courant is not None and not (courant > 0 and most >= 1):
+            raise ValueError(f"courant is {courant} and most {most}; they must be greater than zero.")
+        self.fluid, self.steps, self.courant, self.most, self.steps_last = fluid, steps, courant, most, 0
+        self.mean_velocity = fem.Function(fluid.velocity.function_space, name="mean_velocity")
+        self.mean_pressure = fem.Function(fluid.space, name="mean_pressure")
+
+    def advance(self, dt, fields):
+        """Advance by ``dt`` [s]; ``fields`` and errors are those of the fluid's own ``advance``.
+
+        Note:
+            Collective.
+        """
+        air, count = self.fluid, self.steps
+        if count is None:
+            count = int(np.clip(np.ceil(air.courant(dt) / self.courant), 1, self.most))
+        n, phi = air.num_cells, fem.Function(fields[0].function_space)
+        new = fields[0].x.array[:n].copy()
+        old = new if air.void_fraction is None else air.void_fraction
+        velocity, pressure = np.zeros_like(air.velocity.x.array), np.zeros_like(air.pressure.x.array)
+        for k in range(1, count + 1):
+            phi.x.array[:n] = old + k / count * (new - old)
+            air.advance(dt / count, (phi, *fields[1:]), new)
+            velocity += air.velocity.x.array
+            pressure += air.pressure.x.array
+        self.mean_velocity.x.array[:], self.mean_pressure.x.array[:] = velocity / count, pressure / count
+        self.steps_last = count
