@@ -145,7 +145,7 @@ class Scene:
     def fallbacks(self):
         """Solves that needed a stronger method."""
         closed = self.air._closed_flux
-        solvers = [self.air.pressure_solver, self.air.transport_solver] + ([closed.solver] if closed else [])
+        solvers = [self.air.pressure_equation.solver, self.air.transport_solver] + ([closed.solver] if closed else [])
         return sum(s.fallbacks for s in solvers)
 
 

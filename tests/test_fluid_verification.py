@@ -291,7 +291,7 @@ def test_petsc_options_reach_each_solver():
         air.advance(0.1)
     finally:
         options.delValue("pressure_ksp_type")
-    assert air.pressure_solver.ksp.getType() == "fgmres" and air.transport_solver.ksp.getType() == "bcgs"
+    assert air.pressure_equation.solver.ksp.getType() == "fgmres" and air.transport_solver.ksp.getType() == "bcgs"
 
 
 def test_a_solver_falls_back_and_returns_to_its_own_method():

@@ -23,10 +23,11 @@ class ClosedFlux:
         self.fluid = fluid
         laplacian = ElementMatrix(fluid.space, fluid.dofs)
         laplacian.values[:] = np.einsum("cik,cjk,c->cij", fluid.gradient, fluid.gradient, fluid.volume)
-        kernels.fix_rows(fluid.dofs, fluid.fixed_pressure, laplacian.values, fluid.nodal_zeros((1,)), fluid.nodal_zeros((1,)))
+        none = fluid.nodal_zeros((1,))
+        laplacian.values[:] = kernels.fixed_rows(fluid.dofs, fluid.fixed_pressure, laplacian.values, none, none)
         laplacian.assemble()
         self.matrix = laplacian.matrix
-        self.solver = LinearSolver(self.matrix, "flux", "cg", "hypre", fluid.tolerance, not fluid.outlets)
+        self.solver = LinearSolver(self.matrix, "flux", "cg", "gamg", fluid.tolerance, not fluid.outlets)
 
     def __call__(self, flux, time):
         """Closed flux (cells, d) [kg/(m^2 s)] of the step whose middle is ``time`` [s]."""

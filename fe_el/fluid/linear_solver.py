@@ -13,7 +13,8 @@ class SolverDiverged(RuntimeError):
     """A linear solver did not converge."""
 
 
-FALLBACKS = (("gmres", "asm"), ("preonly", "lu"))  # tried in this order when the chosen method fails
+# tried in this order when the chosen method fails; the first only for symmetric matrices, the last for regular ones
+FALLBACKS = (("fgmres", "hypre"), ("fgmres", "asm"), ("preonly", "lu"))
 
 TRUCE = 50  # solves in which a method that has failed is not tried again
 
@@ -67,18 +68,25 @@ class LinearSolver:
         self.ksp.getPC().setType(preconditioner)
         self.ksp.setTolerances(rtol=tolerance, atol=1e-300, max_it=500)
         self.ksp.setInitialGuessNonzero(True)
+        if method != "cg":
+            self.ksp.setPCSide(PETSc.PC.Side.RIGHT)
+        self.ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)  # the true residual
         self.nullspace = PETSc.NullSpace().create(constant=True, comm=matrix.comm) if constant_nullspace else None
         if self.nullspace:
             matrix.setNullSpace(self.nullspace)
-        coarse, options = name + "_pc_hypre_boomeramg_relax_type_coarse", PETSc.Options()
-        smooth = constant_nullspace and not options.hasName(coarse)
-        if smooth:  # a singular matrix has no Gaussian elimination on the coarsest level
-            options[coarse] = "symmetric-SOR/Jacobi"
-        self.ksp.setFromOptions()
-        if smooth:
-            options.delValue(coarse)
+        self._read_options(self.ksp)
         self.x, self.b = matrix.createVecs()
         self.iterations, self.fallbacks, self.resort, self.comm = 0, 0, 0, matrix.comm.tompi4py()
+
+    def _read_options(self, ksp):
+        """PETSc's options for a solver; hypre has no Gaussian elimination for the coarsest level of a singular matrix."""
+        options, key = PETSc.Options(), ksp.getOptionsPrefix() + "pc_hypre_boomeramg_relax_type_coarse"
+        smooth = self.nullspace is not None and not options.hasName(key)
+        if smooth:
+            options[key] = "symmetric-SOR/Jacobi"
+        ksp.setFromOptions()
+        if smooth:
+            options.delValue(key)
 
     def new_values(self):
         """Say that the matrix has new values: the preconditioner is renewed once it costs twice the iterations."""
@@ -108,7 +116,7 @@ class LinearSolver:
             if self._try(self.ksp, guess):
                 self.best = self.iterations
                 return self.x.array
-        for method, preconditioner in FALLBACKS[:1] if self.nullspace else FALLBACKS:
+        for method, preconditioner in FALLBACKS[self.ksp.getType() != "cg":3 - bool(self.nullspace)]:
             ksp = self._fallback(method, preconditioner)
             done, reason, history = self._try(ksp, np.zeros_like(guess)), ksp.getConvergedReason(), ksp.getConvergenceHistory()
             ksp.destroy()
@@ -136,12 +144,14 @@ class LinearSolver:
 
     def _fallback(self, method, preconditioner):
         ksp = PETSc.KSP().create(self.matrix.comm)
+        ksp.setOptionsPrefix(self.name + "_fallback_")
         ksp.setOperators(self.matrix)
         ksp.setType(method)
         ksp.getPC().setType(preconditioner)
         if preconditioner == "lu":
             ksp.getPC().setFactorSolverType("mumps")
-        if method == "gmres":
+        if method == "fgmres":
             ksp.setGMRESRestart(80)
         ksp.setTolerances(rtol=self.ksp.getTolerances()[0], atol=1e-300, max_it=800)
+        self._read_options(ksp)
         return ksp

@@ -80,7 +80,7 @@ class Scalar:
             mark[facets.nodes] = True
             boundary[facets.nodes] = value(air.time) if callable(value) else value
         elements, lift = values.copy(), np.zeros((air.nodes, 1))
-        kernels.fix_rows(air.dofs, mark, values, lift, boundary)
+        values[:] = kernels.fixed_rows(air.dofs, mark, elements, lift, boundary)
         air.node_halo.reverse_add(lift)
         self.matrix.assemble()
         self.solver.new_values()

@@ -9,6 +9,7 @@ from fe_el.fluid import kernels
 from fe_el.fluid.boundary_conditions import Boundaries, velocity_at
 from fe_el.fluid.continuity import ClosedFlux, Ledger
 from fe_el.fluid.linear_solver import ElementMatrix, LinearSolver
+from fe_el.fluid.pressure_equation import PressureEquation
 from fe_el.mesh import barycentric_maps, check_simplices, owned_corners
 
 START_STEPS = 2  # implicit Euler steps that damp a start which does not fit its boundary conditions
@@ -77,7 +78,7 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         self.node_halo = Halo.of_index_map(self.comm, index_map)
         self.h = self.volume ** (1 / d) * (2 ** 0.5 if d == 2 else 6 ** (1 / 3))
         self.nodal_velocity, self.force, self.gain = None, np.zeros((self.nodes, d)), np.zeros((n, d))
-        self.nodal_gain = np.zeros((self.nodes, d))
+        self.nodal_gain, self.theta = np.zeros((self.nodes, d)), np.empty(n)
         self.void_fraction, self.rate = None, np.zeros(n)
         self.time, self.step, self.seconds = 0.0, 0, {"fluid": 0.0}
         self.inlets, self.outlets, self.no_slip, self.slip, self._facets = [], [], [], [], {}
@@ -87,7 +88,7 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         self.turbulence, self.time_order, self.stabilisation = turbulence, time_order, stabilisation
         self.upwind = stabilisation is not None and stabilisation.upwind
         self.mean_pressure_gradient, self.stress_of_mixture = mean.copy(), bool(stress_of_mixture)
-        self.ready, self._last_flux, self.step_flux, self._closed_flux = False, None, None, None
+        self.ready, self._last_flux, self.step_flux, self._closed_flux, self._to_close = False, None, None, None, 0
         self.body_force = self.mass_source = None
         self.node_position = np.zeros((self.nodes, 3))
         self.node_position[self.dofs] = self.corner
@@ -103,16 +104,16 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
     def _setup(self):
         """Matrices, solvers and fixed nodes, once the boundary conditions are known."""
         self.ready = True
-        self._poisson = ElementMatrix(self.space, self.dofs)
         self._transport = ElementMatrix(self.space, self.dofs)
         closed = not self.outlets
-        self.pressure_solver = LinearSolver(self._poisson.matrix, "pressure", "cg", "hypre", self.tolerance, closed)
         self.transport_solver = LinearSolver(self._transport.matrix, "transport", "bcgs", "jacobi", self.tolerance)
         self.fixed, self.fixed_pressure = np.zeros(self.nodes, bool), np.zeros(self.nodes, bool)
         for facets in [f for f, _ in self.inlets] + self.no_slip:
             self.fixed[facets.nodes] = True
         for facets, _ in self.outlets:
             self.fixed_pressure[facets.nodes] = True
+        self._at_fixed = np.flatnonzero(self.fixed[self.dofs].any(1))
+        self.pressure_equation = PressureEquation(self)
         self.boundary_velocity = np.zeros((self.nodes, self.dimension))
         if closed:
             self.check_inflow()
@@ -158,7 +159,7 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         phi0 = phi if self.void_fraction is None else self.void_fraction
         q = self.velocity.x.array.reshape(-1, d)[:n].copy()
         rate0, self.rate = self.rate, (phi - phi0) / dt
-        flux = self.step_flux = self._mass_flux(dt, phi0, q, rate0)
+        flux = self.step_flux = self._mass_flux(dt, phi0, q)
         self.time, self.step = self.time + dt, self.step + 1
         self.second_order = self.time_order == 2 and self.step > START_STEPS and not self.upwind
         self.damping = drag * dt / (self.density * phi + drag * dt)
@@ -173,18 +174,20 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         self.void_fraction, self.void_fractions, self.dt = phi, (phi0, phi), dt
         self.seconds["fluid"] += time.perf_counter() - tick
 
-    def _mass_flux(self, dt, phi0, q, rate0):
+    def _mass_flux(self, dt, phi0, q):
         """Mass flux rho phi u of the step: carried on to its middle for second order, and closed if the void fraction moves."""
         flux = self.density * phi0[:, None] * q
         last, self._last_flux = self._last_flux, flux
         if self.time_order == 2 and last is not None and not self.upwind:
             part = 0.5 * dt / self.dt
             flux = (1 + part) * flux - part * last
-        if self._closed_flux is None:
-            open_balance = np.any(self.rate) or np.any(rate0) or (self.step == 0 and np.any(q))
-            if self.comm.allreduce(int(open_balance)) == 0:
-                return flux
-            self._closed_flux = ClosedFlux(self)
+        moves = np.any(self.rate) or (self.step == 0 and np.any(q))
+        if self.comm.allreduce(int(moves)):
+            self._to_close = 3  # steps whose flux is made of velocities that fit another rate
+        if not self._to_close:
+            return flux
+        self._to_close -= 1
+        self._closed_flux = self._closed_flux or ClosedFlux(self)
         return self._closed_flux(flux, self.time + 0.5 * dt)
 
     def nodal_zeros(self, shape):
@@ -208,7 +211,7 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         misfit, feed = self.nodal_zeros((d,)), self.nodal_zeros((d,))
         start = self.nodal_zeros((d,)) if self.nodal_velocity is None else self.nodal_velocity
         kernels.mass_and_misfit(self.dofs, self.cell_mass0, q, start, self.h, self.viscosity / self.density, dt, self.damping, self.gain,
-                                self.nodal_gain, self.mass0, misfit, part, feed)
+                                self.nodal_gain, self.mass0, misfit, part, feed, self.theta)
         if self.upwind:  # towards the plain mean of the cells, which stays in their range
             misfit, feed = self.nodal_zeros((d,)), 0.0
             kernels.scatter(self.dofs, self.cell_mass0[:, None] * q, misfit)
@@ -240,10 +243,12 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         for facets, _ in self.outlets:
             kernels.open_boundary(facets.cell, facets.local, facets.area_normal, flux, values)
         rhs = self.mass0[:, None] * u / dt + self.force + explicit
-        elements, lift = values.copy(), self.nodal_zeros((d,))
-        kernels.fix_rows(self.dofs, self.fixed, values, lift, self.boundary_velocity)
+        lift, at = self.nodal_zeros((d,)), self._at_fixed
+        elements = values[at]
+        values[at] = kernels.fixed_rows(self.dofs[at], self.fixed, elements, lift, self.boundary_velocity)
         self.node_halo.reverse_add(lift)
         self._transport.assemble()
+        values[at] = elements
         self.transport_solver.new_values()
         own = self.owned_nodes
         diagonal = self._transport.matrix.getDiagonal().array
@@ -258,7 +263,7 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         self.mass = self.nodal_zeros(())
         kernels.scatter(self.dofs, self.cell_mass[:, None], self.mass[:, None])
         balance = self.nodal_zeros((d,))
-        kernels.apply_elements(self.dofs, elements, new, balance)
+        kernels.apply_elements(self.dofs, values, new, balance)
         self.complete(self.mass, balance)
         exact = new + dt * (rhs + balance) / self.mass[:, None]
         exact[self.fixed] = new[self.fixed]
@@ -270,15 +275,15 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         """What the nodes cannot represent fades at the rate of convection and viscosity; its momentum is kept."""
         d = self.dimension
         kept, defect = np.empty_like(q), self.nodal_zeros((d,))
-        kernels.memory(self.dofs, self.cell_mass0, self.cell_mass, q, u, self.h, dt, self.viscosity / self.density, self.damping,
-                       self.gain, self.nodal_gain, kept, defect)
+        kernels.memory(self.dofs, self.cell_mass0, self.cell_mass, q, u, self.h, dt, self.viscosity / self.density, self.theta,
+                       self.damping, self.gain, self.nodal_gain, kept, defect)
         self.complete(defect)
         self._correction = defect / self.mass[:, None]
         return kept
 
     def _exchange(self, dt, phi, share, rate, drag, source, nodal, transported):
         """Stage 3: drag and pressure together; an exact projection with the drag on the diagonal."""
-        n, d, own = self.num_cells, self.dimension, self.owned_nodes
+        n, d = self.num_cells, self.dimension
         q, diagonal, rhs = np.empty((n, d)), np.empty(n), self.nodal_zeros(())
         body = self.density * self.gravity + self.mean_pressure_gradient
         middle = self.time - (0.5 * dt if self.second_order else 0.0)
@@ -286,25 +291,13 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
                                                 self.at_cells(self.body_force, (n, d), middle))
         self.supply = rate - (0.0 if self.mass_source is None else self.at_cells(self.mass_source, (n,)))
         kernels.exchange_system(self.dofs, self.gradient, self.volume, self.density, dt, phi, share, self.supply, drag, source,
-                                body, nodal, self._correction, transported, q, diagonal, self._poisson.values, rhs)
+                                body, nodal, self._correction, transported, q, diagonal, rhs)
         self.inflow = self.inflow_at(self.time)
         rhs += self.inflow
-        values, lift, p = self._poisson.values, self.nodal_zeros((1,)), self.pressure.x.array
-        boundary = self.nodal_zeros((1,))
-        for facets, value in self.outlets:
-            boundary[facets.nodes, 0] = value(self.time) if callable(value) else value
-        kernels.fix_rows(self.dofs, self.fixed_pressure, values, lift, boundary)
-        rhs += lift[:, 0]
-        self.node_halo.reverse_add(rhs)
-        self._poisson.assemble()
-        self.pressure_solver.new_values()
-        fixed = self.fixed_pressure[:own]
-        rhs[:own][fixed] = (self._poisson.matrix.getDiagonal().array * boundary[:own, 0])[fixed]
-        p[:own] = self.pressure_solver.solve(rhs[:own], p[:own])
-        self.pressure.x.scatter_forward()
+        self.pressure_equation.solve(phi * share / diagonal * self.volume, rhs)
         change = self.nodal_zeros((d,))
-        kernels.pressure_step(self.dofs, self.gradient, self.volume, self.density, dt, phi, share, diagonal, p, transported,
-                              q, self.gain, change)
+        kernels.pressure_step(self.dofs, self.gradient, self.volume, self.density, dt, phi, share, diagonal,
+                              self.pressure.x.array, transported, q, self.gain, change)
         self.complete(change)
         self.velocity.x.array.reshape(-1, d)[:n] = q
         self.velocity.x.scatter_forward()
