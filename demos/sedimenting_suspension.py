@@ -30,6 +30,7 @@ def arguments():
     p.add_argument("--fluid-velocity", default="cell", help="at the particle: cell or linear")
     p.add_argument("--fluid-steps", type=int, default=1, help="steps of the fluid in one")
     p.add_argument("--positions", default="start", help="of the particles that are mapped: start or middle of the step")
+    p.add_argument("--correct-momentum", action="store_true", help="take the drift of total momentum back by a force, as the paper does")
     p.add_argument("--contacts", action="store_true", help="resolve contacts")
     p.add_argument("--coarse-graining", type=float, default=1.0, help="parcel diameter over particle diameter")
     p.add_argument("--end-time", type=float, default=0.5, help="simulated time [s]")
@@ -51,10 +52,11 @@ class Suspension:
         self.solid = count * np.pi / 6 * size ** 3 / lengths.prod()
         down = np.array([0, 0, -GRAVITY])
         mixture = self.solid * particle_density + (1 - self.solid) * GAS_DENSITY
+        self.balance = -mixture * down
         law = fe_el.Drag(drag)
         self.slip = fe_el.time_scales.homogeneous_slip(diameter, particle_density, GAS_DENSITY, GAS_VISCOSITY, self.solid, law.law)
         self.air = fe_el.VolumeAveragedNavierStokes(self.mesh, None, GAS_DENSITY, GAS_VISCOSITY, down, tolerance,
-                                                    mean_pressure_gradient=-mixture * down)
+                                                    mean_pressure_gradient=self.balance)
         self.beads = fe_el.Particles(self.mesh, particle_density, down)
         fall = -self.slip * (1 - self.solid) * GAS_DENSITY / mixture  # total momentum zero at the homogeneous slip
         self.beads.insert_in_box((0, 0, 0), lengths, count, size, velocity=(0, 0, fall), seed=seed,
@@ -65,7 +67,7 @@ class Suspension:
         mean = {"mean_velocity": self.fluid.mean_velocity} if fluid_steps > 1 else {}
         pressure = self.fluid.mean_pressure if mean else self.air.pressure
         self.coupling = fe_el.Coupling(self.beads, self.air.velocity, pressure, GAS_DENSITY, GAS_VISCOSITY,
-                                       [law, fe_el.PressureGradient(-mixture * down)], coupling, mapping, smoothing,
+                                       [law, fe_el.PressureGradient(self.balance)], coupling, mapping, smoothing,
                                        fluid_velocity, positions=positions, **mean)
         self.contacts, self.count = None, count
         self.weight = count * np.pi / 6 * size ** 3 * particle_density * GRAVITY
@@ -85,6 +87,13 @@ class Suspension:
     def momentum(self):
         """Total momentum (3,) [kg m/s]."""
         return self.fluid_momentum() + self.beads.momentum()
+
+    def correct_momentum(self, first, dt):
+        """Make the mean pressure gradient of the next step take back what momentum drifted; returns that force over the weight."""
+        drift, volume = self.momentum() - first, self.air.comm.allreduce(self.air.volume.sum())
+        gradient = self.balance - drift / (volume * dt)
+        self.air.mean_pressure_gradient[:] = self.coupling.pressure_force.mean[:] = gradient
+        return drift[2] / (dt * self.weight)
 
     def fluid_momentum(self):
         """Momentum of the fluid, with the void fraction of the last mapping (3,) [kg m/s]."""
@@ -119,7 +128,8 @@ def mean_and_error(values, blocks=8):
 
 def main(diameter=150e-6, particle_density=1500.0, solid_fraction=0.1, box=(48.0, 48.0, 96.0), cells=(6, 6, 12),
          coupling="conservative", dt_star=1.0, smoothing_length=None, drag="beetstra", mapping="satellite_points",
-         fluid_velocity="cell", fluid_steps=1, positions="start", contacts=False, coarse_graining=1.0, end_time=0.5, seed=1, output_every=0.05,
+         fluid_velocity="cell", fluid_steps=1, positions="start", correct_momentum=False, contacts=False,
+         coarse_graining=1.0, end_time=0.5, seed=1, output_every=0.05,
          output="out/sedimenting_suspension", progress=True):
     """Run the suspension and return the summary."""
     if not 0 < solid_fraction < 0.6 or not dt_star > 0:
@@ -141,16 +151,18 @@ def main(diameter=150e-6, particle_density=1500.0, solid_fraction=0.1, box=(48.0
             stable, reason = False, str(error)
             break
         rows.append((now, scene.mean_slip(), scene.coupling.momentum_imbalance, scene.coupling.max_solid_fraction,
-                     scene.coupling.solid_volume_error, scene.air.mass_residual()))
+                     scene.coupling.solid_volume_error, scene.air.mass_residual(),
+                     scene.correct_momentum(first, dt) if correct_momentum else 0.0))
         if not abs(rows[-1][1]) < 10 * scene.slip:
             stable, reason = False, f"the slip velocity grew to {rows[-1][1]:g} m/s"
             break
         out.write(now)
-    wall_time, rows = time.perf_counter() - start, np.array(rows).reshape(-1, 6)
+    wall_time, rows = time.perf_counter() - start, np.array(rows).reshape(-1, 7)
     if not stable and comm.rank == 0:
         print(f"Unstable after {len(rows)} steps: {reason}")
     late = rows[rows[:, 0] > 0.5 * rows[-1, 0], 1] if len(rows) else np.array([np.nan])
     slip, error = mean_and_error(late)
+    correction = mean_and_error(rows[rows[:, 0] > 0.5 * rows[-1, 0], 6]) if len(rows) else (np.nan, np.nan)
     drift = np.abs(scene.momentum() - first).max() / (scene.weight * rows[-1, 0]) if len(rows) else np.nan
     law = scene.coupling.drag.law
     re = GAS_DENSITY * (1 - scene.solid) * scene.slip * diameter / GAS_VISCOSITY
@@ -158,6 +170,7 @@ def main(diameter=150e-6, particle_density=1500.0, solid_fraction=0.1, box=(48.0
         "particles": beads.total_number, "cells": comm.allreduce(scene.air.num_cells), "coupling": coupling, "mapping": mapping,
         "fluid_steps": fluid_steps, "positions": positions, "dt_star": dt_star, "time_step": dt, "end_time": end_time, "steps": len(rows), "slip_velocity": slip,
         "slip_velocity_error": error, "homogeneous_slip": scene.slip, "drift_over_weight": drift, "stable": stable,
+        **({"correction_over_weight": correction[0], "correction_over_weight_error": correction[1]} if correct_momentum else {}),
         "tau_f": tau_f, "tau_f_drag_law": float(fe_el.time_scales.fluid_relaxation_time(
             diameter, GAS_DENSITY, GAS_VISCOSITY, scene.solid, law, re)),
         "tau_p": float(fe_el.time_scales.particle_relaxation_time(diameter, particle_density, GAS_VISCOSITY)),

@@ -48,7 +48,7 @@ def test_slices_share_out_the_cells_evenly():
 
 
 @pytest.mark.ranks
-@pytest.mark.parametrize("scheme", ["implicit", "split", "void_cells_explicit", "explicit", "conservative"])
+@pytest.mark.parametrize("scheme", ["implicit", "implicit_from_force", "split", "void_cells_explicit", "explicit", "conservative"])
 def test_every_scheme_runs_with_smoothing_and_in_the_same_fields(scheme):
     """With smoothing (and eq. 5 for the mean velocity) all schemes give the same slip at a small step within a few per cent."""
     scene = Suspension(150e-6, 1500.0, 0.1, (24, 24, 24), (6, 6, 6), scheme, "beetstra", "satellite_points", "cell", 2.0, 1.0,

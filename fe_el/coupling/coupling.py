@@ -27,7 +27,7 @@ class Coupling:
         pressure: its pressure, of the middle of the step, a Function or UFL expression [Pa].
         fluid_density, fluid_viscosity (float): [kg/m^3], [Pa s].
         forces: list of :class:`Drag`, :class:`PressureGradient`, :class:`ViscousStress`, :class:`Buoyancy`.
-        scheme (str): ``conservative``, ``explicit``, ``implicit``, ``split`` or ``void_cells_explicit``.
+        scheme (str): ``conservative``, ``explicit``, ``implicit``, ``implicit_from_force``, ``split`` or ``void_cells_explicit``.
         mapping: ``satellite_points``, ``cfdem_points``, ``particle_centred``, ``hat``, ``well_mixed``, or an object (see
             :mod:`fe_el.coupling.mapping`).
         smoothing: :class:`HelmholtzSmoothing`, :class:`PatchAverage` or another self-adjoint map of cell fields; absent: none.
@@ -87,7 +87,7 @@ class Coupling:
         self.gradient_mean = PressureGradientMean(mesh, pressure, particles.cells.barycentric) if self.pressure_force else None
         self.stress_mean = ViscousStressMean(mesh, fluid_viscosity) if viscous else None
         length = getattr(smoothing, "length", None)
-        self.fixed = FixedValues(mesh, length) if length and scheme == "implicit" else None
+        self.fixed = FixedValues(mesh, length) if length and scheme in ("implicit", "implicit_from_force") else None
         self.seconds = {"mapping": 0.0, "drag": 0.0}
         if smoothing is not None:
             self.seconds["smoothing"] = 0.0

@@ -69,9 +69,13 @@ class Explicit:
 class Implicit(Explicit):
     """The paper's eq. 8: B = A <v> with the cell's drag and mean particle velocity at the new time. Momentum drifts."""
 
+    def _new(self, x):
+        """Velocity of the particles after their explicit step."""
+        return x.velocity + x.dt * (x.acceleration + self.drag / (x.density * x.volume))
+
     def _mean(self, x):
         """Mean particle velocity after the explicit step of the particles, and the cells that hold any."""
-        new = x.velocity + x.dt * (x.acceleration + self.drag / (x.density * x.volume))
+        new = self._new(x)
         sums = x.raw(np.hstack([x.volume, x.volume * new]))
         filled = sums[:, 0] > 0
         mean = np.where(filled[:, None], sums[:, 1:] / np.where(filled, sums[:, 0], 1.0)[:, None], 0.0)
@@ -82,6 +86,23 @@ class Implicit(Explicit):
         super().fields(x)
         a = x.to_cells(x.volume * x.beta)
         return a, a * x.continue_mean(*self._mean(x))
+
+
+class ImplicitFromForce(Implicit):
+    """Eq. 8 with the coefficient that eq. 7 gives from the known force of eq. 6, A = |force| / |u - <v>|, as in CFDEMcoupling.
+
+    It differs from ``implicit`` where particles see another velocity than the cell's mean. Momentum drifts, the more so with
+    ``fluid_velocity="linear"``, which is what the paper has.
+    """
+
+    def fields(self, x):
+        """A (cells, 1) and B (cells, d)."""
+        Explicit.fields(self, x)
+        mean = x.continue_mean(*self._mean(x))
+        force = x.to_cells(x.volume * x.beta * (x.fluid_velocity - self._new(x)))
+        slip = np.linalg.norm(x.cell_velocity - mean, axis=1, keepdims=True)
+        a = np.linalg.norm(force, axis=1, keepdims=True) / np.maximum(slip, 1e-12)
+        return a, a * mean
 
 
 class Split(Explicit):
@@ -105,8 +126,8 @@ class VoidCellsExplicit(Implicit):
         return a, np.where(filled[:, None], a * mean, b)
 
 
-SCHEMES = {"conservative": Conservative, "explicit": Explicit, "implicit": Implicit, "split": Split,
-           "void_cells_explicit": VoidCellsExplicit}
+SCHEMES = {"conservative": Conservative, "explicit": Explicit, "implicit": Implicit,
+           "implicit_from_force": ImplicitFromForce, "split": Split, "void_cells_explicit": VoidCellsExplicit}
 
 
 def scheme_of(name):
