@@ -41,8 +41,8 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
     Attributes:
         velocity: DG0 vector Function, interstitial velocity u [m/s].
         pressure: P1 Function, of the middle of the step [Pa].
-        body_force: force per fluid volume [N/m^3]: d numbers, (cells, d), or a function (time, cell centres), taken at the
-            middle of the step; ``None``: none.
+        body_force: force per fluid volume [N/m^3]: d numbers, (cells, d), or a function (time, points (cells, 3)) of which the
+            cell means are taken in the middle of the step; ``None``: none.
         mass_source: volume of fluid per volume and time [1/s], that comes in with the local velocity only if ``body_force``
             says so; a number, (cells,), or a function; ``None``: none.
 
@@ -119,8 +119,17 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
             self.check_inflow()
 
     def at_cells(self, value, shape, time=None):
-        """Values (cells, ...) of a constant, an array, or a function (time, cell centres (cells, 3)); absent time: now."""
-        value = np.asarray(value(self.time if time is None else time, self.corner.mean(1)) if callable(value) else value, float)
+        """Cell means (cells, ...) of a constant, an array, or a function (time, points (cells, 3)); absent time: now.
+
+        A function is called for one point of every cell at a time, d + 1 times, which is exact for quadratic functions.
+        """
+        if callable(value):
+            now, corners = self.time if time is None else time, self.dimension + 1
+            near = (2 / 3, 0.58541019662496845)[self.dimension - 2]  # the share of the nearest corner
+            far = (1 - near) / self.dimension
+            rest = far * self.corner.sum(1)
+            value = sum(np.asarray(value(now, rest + (near - far) * self.corner[:, k]), float) for k in range(corners)) / corners
+        value = np.asarray(value, float)
         if not np.isfinite(value).all():
             raise ValueError(f"A source at time {self.time:g} is not finite; give finite numbers.")
         return np.broadcast_to(value, shape)
