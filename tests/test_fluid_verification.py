@@ -240,6 +240,27 @@ def test_scalar_constant_stays_and_content_is_kept_while_the_void_fraction_moves
     assert np.ptp(totals) < 1e-11
 
 
+@pytest.mark.parametrize("time_order", [1, 2])
+def test_scalar_has_the_order_of_the_fluid(time_order):
+    """A wave that drifts and diffuses under a source: steps halved twice on one mesh, differences fall with the order."""
+    values = []
+    for steps in (40, 80, 160):
+        mesh, _ = fe_el.periodic_box((1.0, 1.0), (12, 12))
+        air = fe_el.VolumeAveragedNavierStokes(mesh, None, 1.0, 1e-3, tolerance=1e-12, time_order=time_order)
+        air.set_initial_velocity((1.0, 0.5))
+        wave = fe_el.Scalar(air, 1e-2, lambda x: np.sin(2 * PI * x[:, 0]), "wave", 1e-13)
+        wave.source = lambda t, x: np.cos(3 * t) * np.cos(2 * PI * x[:, 1])
+        for _ in range(2):  # starts by implicit Euler: in steps so short that it does not count
+            air.advance(1e-4)
+            wave.advance(1e-4)
+        for _ in range(steps):
+            air.advance(0.5 / steps)
+            wave.advance(0.5 / steps)
+        values.append(wave.value.x.array.copy())
+    order = np.log2(np.linalg.norm(values[0] - values[1]) / np.linalg.norm(values[1] - values[2]))
+    assert order > (1.9 if time_order == 2 else 0.9)
+
+
 def test_scalar_diffusion_sources_and_walls():
     """Between plates of 0 and 1 the steady profile is linear; with a uniform source it is the parabola on top."""
     mesh, tags = fe_el.periodic_box((0.5, 1.0), (4, 16), (True, False))

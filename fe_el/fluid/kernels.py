@@ -76,13 +76,15 @@ def transport_matrix(dofs, grad, volume, density, stress, dt, phi1, rate, flux, 
     """
     n = len(dofs)
     share = 1.0 / M
-    out, old = np.empty(M), np.empty((M, D))
+    parts = u.shape[1]
+    out, row, old = np.empty(M), np.empty(M), np.empty((M, parts))
     for c in range(n):
         vol, theta = volume[c], thetas[c]
         for i in range(M):
             out[i] = 0.0
             for k in range(D):
                 out[i] += grad[c, i, k] * flux[c, k]
+            for k in range(parts):
                 old[i, k] = u[dofs[c, i], k]
             out[i] *= 0.5 * share * vol
         inertia, change = share * vol * density * phi1[c] / dt, 0.5 * share * vol * density * rate[c]
@@ -94,10 +96,13 @@ def transport_matrix(dofs, grad, volume, density, stress, dt, phi1, rate, flux, 
                 value = out[j] - out[i] + stress[c] * vol * g
                 if i == j:
                     value -= change if open_node[dofs[c, i]] else M * out[i]
-                if theta < 1.0:
-                    for k in range(D):
-                        rhs[dofs[c, i], k] -= (1.0 - theta) * value * old[j, k]
+                row[j] = value
                 values[c, i, j] = theta * value
+            for k in range(parts):
+                total = 0.0
+                for j in range(M):
+                    total += row[j] * old[j, k]
+                rhs[dofs[c, i], k] -= (1.0 - theta) * total
             values[c, i, i] += inertia
 
 

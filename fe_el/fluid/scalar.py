@@ -12,8 +12,9 @@ from fe_el.fluid.linear_solver import ElementMatrix, LinearSolver
 class Scalar:
     """d(rho phi c)/dt + div(rho phi u c) = div(rho phi D grad c) + S, carried by the mass flux of a fluid.
 
-    The flux is that of the fluid's new velocity, whose divergence is the change of the void fraction: so a constant stays
-    constant, and the integral of rho phi c changes by sources and open boundaries only, both to the solver's tolerance.
+    The flux is that of the fluid's step, whose divergence is the change of the void fraction: so a constant stays constant, and
+    the integral of rho phi c changes by sources and open boundaries only, both to the solver's tolerance. Time is of second
+    order where the fluid's is.
 
     Args:
         fluid (VolumeAveragedNavierStokes): advance it first, then the scalar by the same step.
@@ -59,15 +60,18 @@ class Scalar:
         phi0, phi1 = air.void_fractions
         flux = air.step_flux
         old, rhs, values = c[:, None].copy(), np.zeros((air.nodes, 1)), self.matrix.values
-        kernels.transport_matrix(air.dofs, air.gradient, air.volume, air.density, air.density * phi1 * self.diffusivity, dt, phi1,
-                                 air.rate, flux, air.fixed_pressure, np.ones(air.num_cells), old, values, rhs)
+        thetas, share, middle = air.theta_of(self.diffusivity, dt), phi1, air.time
+        if air.second_order:
+            share, middle = 0.5 * (phi0 + phi1), air.time - 0.5 * dt
+        kernels.transport_matrix(air.dofs, air.gradient, air.volume, air.density, air.density * share * self.diffusivity, dt, phi1,
+                                 air.rate, flux, air.fixed_pressure, thetas, old, values, rhs)
         for facets, _ in air.outlets:
             kernels.open_boundary(facets.cell, facets.local, facets.area_normal, flux, values)
         mass0, mass1 = np.zeros((air.nodes, 1)), np.zeros((air.nodes, 1))
         kernels.scatter(air.dofs, (air.density * phi0 * air.volume)[:, None], mass0)
         kernels.scatter(air.dofs, (air.density * phi1 * air.volume)[:, None], mass1)
         if self.source is not None:
-            kernels.scatter(air.dofs, (air.at_cells(self.source, (air.num_cells,)) * air.volume)[:, None], rhs)
+            kernels.scatter(air.dofs, (air.at_cells(self.source, (air.num_cells,), middle) * air.volume)[:, None], rhs)
         air.complete(mass0, mass1, rhs)
         rhs += mass0 * old / dt
         self._solve(dt, rhs, mass1, old)

@@ -134,6 +134,13 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
             raise ValueError(f"A source at time {self.time:g} is not finite; give finite numbers.")
         return np.broadcast_to(value, shape)
 
+    def theta_of(self, diffusivity, dt):
+        """Implicit part (cells,) of transport: 1/2, and more where diffusion is so fast that half a step of it would only ring."""
+        if not self.second_order:
+            return np.ones(self.num_cells)
+        z = np.clip(0.04 * diffusivity * dt / self.h ** 2, 1e-3, 500)
+        return np.where(z > 1e-3, 1 / -np.expm1(-z) - 1 / z, 0.5)
+
     # -- one step ------------------------------------------------------------------------------------------------------
 
     def advance(self, dt, fields=None, pressure_share=None):
@@ -236,10 +243,8 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
     def _transport_step(self, dt, phi0, phi, flux, u):
         """Stage 2: convection and viscosity of the nodal velocity, implicit, skew-symmetric, conserving momentum."""
         d, values = self.dimension, self._transport.values
-        theta, share = np.ones(self.num_cells), phi
-        if self.second_order:  # 1/2, and more where viscosity is so fast that half a step of it would only ring
-            z = np.clip(0.04 * self.viscosity / self.density * dt / self.h ** 2, 1e-3, 500)
-            theta, share = np.where(z > 1e-3, 1 / -np.expm1(-z) - 1 / z, 0.5), 0.5 * (phi0 + phi)
+        theta = self.theta_of(self.viscosity / self.density, dt)
+        share = 0.5 * (phi0 + phi) if self.second_order else phi
         stress = self.viscosity * (np.ones_like(phi) if self.stress_of_mixture else share)
         if self.turbulence is not None:
             stress = stress + self.density * share * self.turbulence(self, u)
