@@ -29,6 +29,29 @@ def test_upwind_all_but_suppresses_the_overshoot_of_a_step():
     assert low < -0.3 and high > 1.3
 
 
+def scalar_step(stabilisation):
+    """Lowest and highest value of a scalar between 0 and 1 in a shear flow, and the change of its integral."""
+    mesh, _ = fe_el.periodic_box((1.0, 1.0), (16, 16))
+    air = fe_el.VolumeAveragedNavierStokes(mesh, None, 1.0, 1e-3, tolerance=1e-12, stabilisation=stabilisation)
+    air.set_initial_velocity(lambda t, x: np.column_stack([np.sin(2 * PI * x[:, 1]), np.sin(2 * PI * x[:, 0])]))
+    dye = fe_el.Scalar(air, 1e-9, lambda x: ((x[:, 0] > 0.3) & (x[:, 0] < 0.7)) * 1.0, "dye", 1e-13)
+    low, high, total = np.inf, -np.inf, None
+    for _ in range(40):
+        air.advance(0.02)
+        dye.advance(0.02)
+        low, high = min(low, dye.value.x.array.min()), max(high, dye.value.x.array.max())
+        total = dye.total() if total is None else total
+    assert dye.total() == pytest.approx(total, rel=1e-12)
+    return low, high
+
+
+def test_a_scalar_is_monotone_with_upwind():
+    low, high = scalar_step(fe_el.Upwind())
+    assert low > -1e-9 and 0.8 < high < 1 + 1e-9
+    low, high = scalar_step(None)
+    assert low < -0.05 and high > 1.05
+
+
 def test_streamline_keeps_the_second_order(monkeypatch):
     errors = []
     plain = fe_el.VolumeAveragedNavierStokes

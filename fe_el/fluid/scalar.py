@@ -14,7 +14,7 @@ class Scalar:
 
     The flux is that of the fluid's step, whose divergence is the change of the void fraction: so a constant stays constant, and
     the integral of rho phi c changes by sources and open boundaries only, both to the solver's tolerance. Time is of second
-    order where the fluid's is.
+    order where the fluid's is. With :class:`Upwind` in the fluid it never leaves the range of its start and boundaries.
 
     Args:
         fluid (VolumeAveragedNavierStokes): advance it first, then the scalar by the same step.
@@ -65,6 +65,8 @@ class Scalar:
             share, middle = 0.5 * (phi0 + phi1), air.time - 0.5 * dt
         kernels.transport_matrix(air.dofs, air.gradient, air.volume, air.density, air.density * share * self.diffusivity, dt, phi1,
                                  air.rate, flux, air.fixed_pressure, thetas, old, values, rhs)
+        if air.upwind:
+            air.stabilisation(air, share, flux, old, values, rhs)
         for facets, _ in air.outlets:
             kernels.open_boundary(facets.cell, facets.local, facets.area_normal, flux, values)
         mass0, mass1 = np.zeros((air.nodes, 1)), np.zeros((air.nodes, 1))

@@ -96,7 +96,8 @@ class Upwind:
     """Upwinding, for jets and fronts that the mesh does not resolve: the matrix of transport becomes an M-matrix.
 
     First order in space and time, and the nodes follow the plain mean of the cells. A step in a fluid without viscosity overshoots
-    by 2 % (47 % without it); what remains comes from the cells' own part of the velocity. Momentum is kept; energy is lost.
+    by 2 % (47 % without it); what remains comes from the cells' own part of the velocity. A :class:`Scalar` of such a fluid does
+    not overshoot. Momentum is kept; energy is lost.
     """
 
     upwind = True
