@@ -29,6 +29,8 @@ def arguments():
     p.add_argument("--steps-per-contact", type=int, default=50, help="contact steps in the shortest contact")
     p.add_argument("--cell-size", type=float, default=0.0075, help="edge length of the tetrahedra [m]")
     p.add_argument("--output-every", type=float, default=0.05, help="time between ParaView outputs [s]")
+    p.add_argument("--checkpoint-every", type=float, help="time between checkpoints, OUTPUT/checkpoint.h5 [s]; absent: none")
+    p.add_argument("--restart", help="checkpoint to go on from, of a run with the same slice and cell size")
     p.add_argument("--seed", type=int, default=1, help="seed of the initial mixture")
     p.add_argument("--output", default="out/fluidised_bed", help="folder for results")
     return p
@@ -85,16 +87,19 @@ class Record:
 
 
 def main(superficial_velocity=1.3, end_time=1.0, time_step=1e-4, slice=1.0, drag="beetstra", stiffness=500.0,
-         steps_per_contact=50, cell_size=0.0075,
-         output_every=0.05, seed=1, output="out/fluidised_bed", progress=True):
+         steps_per_contact=50, cell_size=0.0075, output_every=0.05, checkpoint_every=None, restart=None, seed=1,
+         output="out/fluidised_bed", progress=True):
     """Run the bed and return the summary."""
     if not 0 < slice <= 1:
         raise ValueError(f"--slice is {slice}; give a fraction of the bed's width in (0, 1].")
+    if checkpoint_every is not None and not checkpoint_every >= time_step:
+        raise ValueError(f"--checkpoint-every is {checkpoint_every}; give at least a time step of {time_step} s.")
     logging.getLogger().setLevel(logging.WARNING)
     mesh, _, tags = bed_mesh(slice, cell_size)
     gravity, area = (0, 0, -GRAVITY), WIDTH * slice * DEPTH
     beads = fe_el.Particles(mesh, density=BEAD_DENSITY, gravity=gravity)
-    fill(beads, slice, seed)
+    if restart is None:
+        fill(beads, slice, seed)
     contacts = fe_el.Contacts(beads, fe_el.LinearSpringDashpot(stiffness, restitution=0.9, friction=0.1),
                               walls=(tags, (WALL, INLET)), steps_per_contact=steps_per_contact)
     air = coupling = None
@@ -106,11 +111,15 @@ def main(superficial_velocity=1.3, end_time=1.0, time_step=1e-4, slice=1.0, drag
         air.set_initial_velocity((0, 0, superficial_velocity))
         coupling = fe_el.Coupling(beads, air.velocity, air.pressure, GAS_DENSITY, GAS_VISCOSITY,
                                   [fe_el.Drag(drag), fe_el.PressureGradient()])
+    parts, begin = [beads, contacts] + ([air] if air else []), 0.0
+    if restart is not None:
+        begin = float(fe_el.load_checkpoint(restart, *parts)["time"])
+    next_checkpoint = begin + (checkpoint_every or np.inf)
     out = fe_el.ParaViewOutput(output, beads, [air.velocity, air.pressure, coupling.fields[0]] if air else [], output_every)
     record, start = Record(), time.perf_counter()
     number, weight = beads.total_number, beads.comm.allreduce(beads.mass.sum()) * GRAVITY / area
     with out:
-        for now in fe_el.time_steps(time_step, end_time, progress=progress):
+        for now in fe_el.time_steps(time_step, end_time, begin, progress=progress):
             if air:
                 coupling.to_fluid(time_step)
                 air.advance(time_step, coupling.fields)
@@ -120,6 +129,9 @@ def main(superficial_velocity=1.3, end_time=1.0, time_step=1e-4, slice=1.0, drag
             drop = pressure_drop(air) if air else 0.0
             record.rows.append((now, drop, mean_height(beads, True), mean_height(beads, False), beads.kinetic_energy()))
             out.write(now)
+            if now > next_checkpoint - 0.5 * time_step:
+                fe_el.save_checkpoint(Path(output) / "checkpoint.h5", *parts, time=now)
+                next_checkpoint += checkpoint_every
     wall_time = time.perf_counter() - start
     return finish(output, record, beads, contacts, air, coupling, out, {
         "slice": slice, "particles": number, "cells": mesh.comm.allreduce(beads.cells.owned), "time_step": time_step, "end_time": end_time,

@@ -7,7 +7,7 @@ Particles: Particles, Inlet, LostParticle, Contacts; laws LinearSpringDashpot, H
 Coupling: Coupling; forces Drag, PressureGradient, ViscousStress, Buoyancy; drag_laws; HelmholtzSmoothing, PatchAverage;
     SatellitePoints, ParticleCentred, HatKernel, WellMixed; time_scales
 Meshes: read_mesh, mesh_geo, box, periodic_box
-Running: time_steps, adaptive_steps, ParaViewOutput, stage_seconds, write_summary
+Running: time_steps, adaptive_steps, ParaViewOutput, stage_seconds, write_summary, save_checkpoint, load_checkpoint
 
 Every public call is collective unless it says otherwise; all numbers are in SI units.
 Names are loaded when first used, so a scene without fluid never imports the fluid.
@@ -30,7 +30,7 @@ _HOME = {
     "ParticleCentred": "coupling.mapping", "HatKernel": "coupling.mapping", "WellMixed": "coupling.mapping",
     "read_mesh": "mesh", "mesh_geo": "mesh", "box": "box_mesh", "periodic_box": "periodic_mesh",
     "time_steps": "output", "adaptive_steps": "output", "ParaViewOutput": "output", "write_summary": "output",
-    "stage_seconds": "output",
+    "stage_seconds": "output", "save_checkpoint": "checkpoint", "load_checkpoint": "checkpoint",
 }
 _MODULES = ("drag_laws", "time_scales", "schemes", "mapping")
 __all__ = list(_HOME) + list(_MODULES)

@@ -158,6 +158,8 @@ def cell_mesh(mesh, halo_width=0.0, thickness=1.0, period=None):
 def boundary_facets(mesh, facet_tags, groups):
     """Corners (facets, d, 3), vertex numbers (facets, d) and group (facets,) of the tagged boundary facets, on every rank.
 
+    They are ordered by place, so that the order does not depend on the ranks.
+
     Raises:
         ValueError: if a group has no facet.
 
@@ -180,7 +182,14 @@ def boundary_facets(mesh, facet_tags, groups):
     keep = np.array([[v for v in range(d + 1) if v != f] for f in range(d + 1)])
     pick = keep[rows[:, 1]]
     parts = mesh.comm.allgather((corner[rows[:, :1], pick], vertex[rows[:, :1], pick], rows[:, 2]))
-    return tuple(np.concatenate([p[i] for p in parts]) for i in range(3))
+    corners, vertices, groups = (np.concatenate([p[i] for p in parts]) for i in range(3))
+    order = by_place(corners.mean(1))
+    return corners[order], vertices[order], groups[order]
+
+
+def by_place(x):
+    """Order of points (points, 3) by their coordinates, to a billionth of their extent."""
+    return np.lexsort(np.round((x - x.min(0)) / np.ptp(x, 0).max() * 1e9).T[::-1]) if len(x) > 1 else np.arange(len(x))
 
 
 def exterior_facets(mesh, facet_tags, groups):

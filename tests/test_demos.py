@@ -33,6 +33,18 @@ def test_fluidised_bed(tmp_path_factory):
     assert abs(summary["bed_weight_per_area"] - 2154) < 3
 
 
+def test_fluidised_bed_goes_on_from_a_checkpoint(folder):
+    """The second half from the file of the first is the second half of the whole."""
+    common = {"slice": 0.1, "progress": False}
+    whole = fluidised_bed.main(end_time=2e-3, checkpoint_every=1e-3, output=folder + "/a", **common)
+    fluidised_bed.main(end_time=1e-3, checkpoint_every=1e-3, output=folder + "/b", **common)
+    rest = fluidised_bed.main(end_time=2e-3, restart=folder + "/b/checkpoint.h5", output=folder + "/c", **common)
+    for key in ("mean_height_small", "mean_height_large", "kinetic_energy"):
+        assert rest[key] == pytest.approx(whole[key], rel=1e-10)
+    with pytest.raises(ValueError, match="checkpoint-every"):
+        fluidised_bed.main(checkpoint_every=-1.0, output=folder, **common)
+
+
 @pytest.mark.ranks
 def test_dry_bed_imports_no_fluid(tmp_path_factory):
     import subprocess

@@ -34,6 +34,24 @@ def test_inlet_keeps_its_mass_rate_and_outlet_counts_what_leaves():
 
 
 @pytest.mark.ranks
+def test_what_comes_in_does_not_depend_on_ranks():
+    """The same beads in the same places, whether the mesh lies on one rank or on all."""
+    from mpi4py import MPI
+    found = []
+    for comm in (MPI.COMM_SELF, MPI.COMM_WORLD):
+        mesh, tags = fe_el.box((0.03, 0.03, 0.06), (3, 3, 6), comm=comm)
+        p = fe_el.Particles(mesh, RHO, (0, 0, -9.81))
+        inlet = fe_el.Inlet(p, tags, 6, 0.2, [1.5e-3, 2e-3], (0, 0, -0.5), seed=3)
+        for _ in range(20):
+            inlet.advance(1e-3)
+            p.advance(1e-3)
+        x = np.zeros((p.next_id, 4))
+        x[p.id] = np.column_stack([p.position, p.diameter])
+        found.append(comm.allreduce(x))
+    assert len(found[0]) > 50 and np.abs(found[0] - found[1]).max() < 1e-12
+
+
+@pytest.mark.ranks
 def test_a_crowded_inlet_waits():
     """More mass than fits through the inlet is not lost: it waits, and is counted."""
     mesh, tags = fe_el.box((0.01, 0.01, 0.02), (2, 2, 4))

@@ -16,7 +16,7 @@ class PressureEquation:
     """
 
     def __init__(self, fluid):
-        self.fluid, self._weight, self._boundary, self._last = fluid, None, None, None
+        self.fluid, self._weight, self._boundary = fluid, None, None
         self._at_fixed = np.flatnonzero(fluid.fixed_pressure[fluid.dofs].any(1))
         self.elements = ElementMatrix(fluid.space, fluid.dofs)
         self.solver = LinearSolver(self.elements.matrix, "pressure", "cg", "gamg", fluid.tolerance, not fluid.outlets)
@@ -40,9 +40,9 @@ class PressureEquation:
         air.node_halo.reverse_add(rhs)
         fixed = air.fixed_pressure[:own]
         rhs[:own][fixed] = self._diagonal[fixed] * boundary[:own, 0][fixed]
-        old = p[:own].copy()
-        p[:own] = self.solver.solve(rhs[:own], old if self._last is None else 2 * old - self._last)
-        self._last = old
+        old, last = p.copy(), air.last_pressure
+        p[:own] = self.solver.solve(rhs[:own], (old if last is None else 2 * old - last)[:own])
+        air.last_pressure = old
         air.pressure.x.scatter_forward()
 
     def _assemble(self, weight, boundary):

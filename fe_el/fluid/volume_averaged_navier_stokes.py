@@ -89,7 +89,7 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         self.upwind = stabilisation is not None and stabilisation.upwind
         self.mean_pressure_gradient, self.stress_of_mixture = mean.copy(), bool(stress_of_mixture)
         self.ready, self._last_flux, self.step_flux, self._closed_flux, self._to_close = False, None, None, None, 0
-        self.body_force = self.mass_source = None
+        self.body_force = self.mass_source = self.last_pressure = None
         self.node_position = np.zeros((self.nodes, 3))
         self.node_position[self.dofs] = self.corner
         self.node_halo.forward(self.node_position)
@@ -161,8 +161,6 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         if not (dt > 0 and np.isfinite(dt)):
             raise ValueError(f"The time step is {dt}; it must be finite and greater than zero [s].")
         tick = time.perf_counter()
-        if not self.ready:
-            self._setup()
         n, d = self.num_cells, self.dimension
         if fields is None:
             phi, drag, source = np.ones(n), np.zeros(n), np.zeros((n, d))
@@ -173,6 +171,9 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
                 raise ValueError(f"The void fraction of cell {int(np.argmin(phi))} on rank {self.comm.rank} is "
                                  f"{phi.min():g}; it must be positive. Use larger cells or smoothing.")
         phi0 = phi if self.void_fraction is None else self.void_fraction
+        if not self.ready:
+            self._setup()
+            self.set_boundary_values(phi0)
         q = self.velocity.x.array.reshape(-1, d)[:n].copy()
         rate0, self.rate = self.rate, (phi - phi0) / dt
         flux = self.step_flux = self._mass_flux(dt, phi0, q)

@@ -35,7 +35,7 @@ class ContactLists:
         self.shape = np.array([getattr(w, "shape", np.zeros(4)) for w in walls] or [np.zeros(4)])
         self.motion = np.array([w.motion() for w in walls] or [np.zeros(9)])
         self.wall_material = np.array([w.material for w in walls] or [0], np.int64)
-        self.springs, self.has_shapes = None, bool((self.kind != FACETS).any())
+        self.springs, self.restored, self.has_shapes = None, None, bool((self.kind != FACETS).any())
 
     def wall_speed(self):
         """Largest speed of a wall that moves [m/s]."""
@@ -118,7 +118,8 @@ class ContactLists:
         """Springs of the live contacts of the present lists."""
         none = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, self.width)))
         if self.springs is None:
-            return [none] * 3
+            kept, self.restored = self.restored or [none] * 3, None  # of a checkpoint
+            return kept
         n, out, empty = self.ghosts.owned, [], np.zeros(0, np.int32)
         for k, (first, partner) in enumerate(self._partners()):
             out.append(neighbours.collect_springs(first, partner, self.springs[k], self.stamps[k] == step, k == 0,

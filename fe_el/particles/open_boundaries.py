@@ -62,7 +62,8 @@ class Inlet:
         self.density = particles.default_density if density is None else float(density)
         self.velocity = np.zeros(3)
         self.velocity[:len(velocity)] = velocity
-        self.corner = _mesh.boundary_facets(particles.mesh, facet_tags, group)[0]
+        corner = _mesh.boundary_facets(particles.mesh, facet_tags, group)[0]
+        self.corner = np.array([x[_mesh.by_place(x)] for x in corner])
         edges = self.corner[:, 1:] - self.corner[:, :1]
         d = self.corner.shape[1]
         normal = np.cross(edges[:, 0], edges[:, 1] if d == 3 else np.array([0.0, 0.0, 1.0]))

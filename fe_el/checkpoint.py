@@ -1,0 +1,144 @@
+"""Checkpoints: the state of a run in one HDF5 file, to go on from on any number of ranks."""
+import os
+from pathlib import Path
+
+import numpy as np
+
+from fe_el.checkpoint_parts import PARTS, nearest
+from fe_el.exchange import raise_everywhere
+
+
+def save_checkpoint(path, *parts, **numbers):
+    """Write the state of particles, contacts, fluid, scalars and inlets to an HDF5 file.
+
+    The file is complete or not there: it gets its name when it is written. A run that goes on from it gives what the run
+    without a break gives, up to the solvers' tolerance, on any number of ranks.
+
+    Args:
+        path: file to write; an older one is replaced.
+        parts: :class:`Particles`, :class:`Contacts`, :class:`VolumeAveragedNavierStokes`, :class:`Scalar`, :class:`Inlet`;
+            particles before their contacts.
+        numbers: what else to keep, for instance ``time=``.
+
+    Raises:
+        TypeError: for a part that has no state to keep.
+        OSError: if the file cannot be written.
+
+    Note:
+        Collective.
+    """
+    comm, groups = _comm(parts), {}
+    for k, part in enumerate(parts):
+        for block, (points, arrays) in _functions(part)[0](part).items():
+            name = f"{k}_{type(part).__name__}/{block}"
+            if block == "same":
+                groups[name] = arrays
+                continue
+            arrays = arrays if points is None else {"points": points, **arrays}
+            rows = {key: comm.gather(np.asarray(a)) for key, a in arrays.items()}
+            if comm.rank == 0:
+                groups[name] = {key: np.concatenate(a) for key, a in rows.items()}
+    message = None
+    if comm.rank == 0:
+        try:
+            _write(Path(path), groups, numbers)
+        except OSError as error:
+            message = f"The checkpoint {path} cannot be written: {error}."
+    raise_everywhere(comm, OSError, message)
+
+
+def _write(path, groups, numbers):
+    import h5py  # where a checkpoint is written, nowhere else
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(path.name + ".part")
+    with h5py.File(part, "w") as file:
+        for name, arrays in groups.items():
+            for key, a in arrays.items():
+                file[f"{name}/{key}"] = a
+        for key, a in numbers.items():
+            file[f"numbers/{key}"] = a
+    os.replace(part, path)
+
+
+def load_checkpoint(path, *parts):
+    """Give the parts of a run, set up as when it was saved, the state in a file; returns the numbers kept with it.
+
+    Args:
+        path: file of :func:`save_checkpoint`.
+        parts: as when it was saved, in the same order; particles need not be inserted before.
+
+    Returns:
+        dict: the ``numbers``.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: for other parts than were saved, or another mesh.
+
+    Note:
+        Collective.
+    """
+    comm, data, message = _comm(parts), None, None
+    if comm.rank == 0:
+        if Path(path).is_file():
+            data = _read(path)
+        else:
+            message = f"There is no checkpoint {path}."
+    raise_everywhere(comm, FileNotFoundError, message)
+    data = comm.bcast(data)
+    names = [f"{k}_{type(part).__name__}" for k, part in enumerate(parts)]
+    saved = sorted({name for name in data if name != "numbers"}, key=lambda name: int(name.split("_")[0]))
+    if names != saved:
+        raise ValueError(f"The checkpoint {path} holds {[s.split('_')[1] for s in saved]}; load it into these parts in this order, "
+                         f"not {[n.split('_')[1] for n in names]}.")
+    for name, part in zip(names, parts):
+        state = {block: _placed(comm, part, block, rows) for block, rows in data[name].items()}
+        _functions(part)[1](part, state)
+    return data.get("numbers", {})
+
+
+def _read(path):
+    import h5py
+    data = {}
+
+    def visit(name, item):
+        if isinstance(item, h5py.Dataset):
+            *groups, key = name.split("/")
+            place = data
+            for group in groups:
+                place = place.setdefault(group, {})
+            value = item[()]
+            place[key] = value.decode() if isinstance(value, bytes) else value
+    with h5py.File(path, "r") as file:
+        file.visititems(visit)
+    return data
+
+
+def _placed(comm, part, block, rows):
+    """Rows with points in the order of this rank's own points; others as they are."""
+    if "points" not in rows:
+        return rows
+    points = _functions(part)[0](part)[block][0]
+    period = getattr((part if hasattr(part, "mesh") else part.fluid).mesh, "period", None)
+    index, found = nearest(rows["points"], points, period)
+    total = comm.allreduce(np.array([len(points), found.sum()]))
+    if total[0] != len(rows["points"]) or total[1] != total[0]:
+        raise ValueError(f"The checkpoint has {len(rows['points'])} {block}, the mesh {total[0]}, of which {total[1]} are in the same "
+                         "places; load it into the mesh that it was made with.")
+    return {key: a[index] for key, a in rows.items() if key != "points"}
+
+
+def _functions(part):
+    for kind in type(part).__mro__:
+        if kind.__name__ in PARTS:
+            return PARTS[kind.__name__]
+    raise TypeError(f"A {type(part).__name__} has no state to keep; a checkpoint holds {', '.join(PARTS)}.")
+
+
+def _comm(parts):
+    """Communicator of the first part."""
+    if not parts:
+        raise TypeError(f"Give a checkpoint the parts to keep: {', '.join(PARTS)}.")
+    part = parts[0]
+    for name in ("particles", "fluid"):
+        part = getattr(part, name, part) if not hasattr(part, "comm") else part
+    return part.comm

@@ -1,0 +1,155 @@
+"""What of each part of a run a checkpoint holds, and how the part takes it back."""
+import json
+
+import numpy as np
+
+# A state is a dict: name -> (points, arrays). With points (rows, 3) the arrays have a row for each and find their places by these;
+# without (``None``) they are rows that the part sorts out itself. The name "same" holds numbers that are alike on every rank.
+
+
+def particles_state(p):
+    """All arrays of the particles, and the counters."""
+    own, user = p.arrays()
+    rows = {**own, **{"property:" + k: a for k, a in user.items()}, "centre": p.cells.corner[p.cell].mean(1)}
+    return {"particles": (None, rows), "same": (None, {"next_id": p.next_id, "step": p.step, "left": p.left,
+                                                       "left_mass": p.left_mass})}
+
+
+def set_particles(p, state):
+    """Each rank takes the particles whose cells it owns."""
+    rows, same = state["particles"], state["same"]
+    p.reach_halo(3.0 * rows["diameter"].max(initial=0.0))
+    n = p.cells.owned
+    cell, found = nearest(p.cells.corner[:n].mean(1), rows["centre"], p.period)
+    total = p.comm.allreduce(int(found.sum()))
+    if total != len(found):
+        raise ValueError(f"The checkpoint holds {len(found)} particles, of which {total} are in cells of this mesh; load it "
+                         "into the mesh that it was made with.")
+    mine = np.flatnonzero(found)
+    mine = mine[np.argsort(rows["id"][mine], kind="stable")]
+    own, _ = p.arrays()
+    for name, a in own.items():
+        setattr(p, name, np.ascontiguousarray(rows[name][mine].astype(a.dtype)))
+    p.cell = cell[mine].astype(np.int32)
+    p.properties = {name[9:]: a[mine] for name, a in rows.items() if name.startswith("property:")}
+    p.next_id, p.step, p.left = (int(same[k]) for k in ("next_id", "step", "left"))
+    p.left_mass, p.layout = float(same["left_mass"]), p.layout + 1
+
+
+def contacts_state(c):
+    """Springs of the live contacts, by the particles' numbers and the places of the facets; moving walls."""
+    lists, p, out = c.lists, c.particles, {}
+    kept = lists._collect(c.step, c.layout)
+    for (particle, partner, spring), name in zip(kept, ("pairs", "facets", "shapes")):
+        other = partner
+        if name == "facets":
+            other = lists.facets[0].mean(1)[partner] if lists.facets is not None else np.zeros((0, 3))
+        out[name] = (None, {"id": p.id[particle], "other": other, "spring": spring})
+    skin = np.nan if lists.skin is None else lists.skin
+    out["same"] = (None, {"step": c.step, "shape": lists.shape, "motion": lists.motion, "skin": skin,
+                          "largest_overlap": c.largest_overlap})
+    return out
+
+
+def set_contacts(c, state):
+    """Springs for the particles of this rank, given to the lists when these are made next; load the particles first."""
+    lists, p, kept = c.lists, c.particles, []
+    order = np.argsort(p.id)
+    for name in ("pairs", "facets", "shapes"):
+        rows = state[name]
+        place = np.searchsorted(p.id[order], rows["id"])
+        here = place < len(order)
+        here[here] = p.id[order][place[here]] == rows["id"][here]
+        other = rows["other"]
+        if name == "facets" and len(other):
+            other, found = nearest(lists.facets[0].mean(1), other, None)
+            here &= found
+        kept.append((order[place[here]], other[here].astype(np.int64), rows["spring"][here].reshape(-1, lists.width)))
+    same = state["same"]
+    lists.shape[:], lists.motion[:] = same["shape"], same["motion"]
+    lists.skin = None if np.isnan(same["skin"]) else float(same["skin"])
+    lists.restored, lists.springs = kept, None
+    c.step, c.largest_overlap = int(same["step"]), float(same["largest_overlap"])
+    c.layout, c.stale = p.layout, True
+
+
+FLUID_CELLS = ("gain", "void_fraction", "rate", "_last_flux")
+FLUID_NODES = ("nodal_velocity", "force", "nodal_gain", "last_pressure")
+
+
+def fluid_state(air):
+    """Fields of the fluid that the next step starts from."""
+    n, own, d = air.num_cells, air.owned_nodes, air.dimension
+    cells = {k: getattr(air, k) for k in FLUID_CELLS if getattr(air, k) is not None}
+    nodes = {k: getattr(air, k)[:own] for k in FLUID_NODES if getattr(air, k) is not None}
+    cells["velocity"], nodes["pressure"] = air.velocity.x.array.reshape(-1, d)[:n], air.pressure.x.array[:own]
+    return {"cells": (air.corner.mean(1), cells), "nodes": (air.node_position[:own], nodes),
+            "same": (None, {"time": air.time, "step": air.step, "dt": getattr(air, "dt", 0.0), "to_close": air._to_close})}
+
+
+def set_fluid(air, state):
+    """Take the fields back."""
+    n, own, d, same = air.num_cells, air.owned_nodes, air.dimension, state["same"]
+    cells, nodes = state["cells"], state["nodes"]
+    air.velocity.x.array.reshape(-1, d)[:n] = cells.pop("velocity")
+    air.pressure.x.array[:own] = nodes.pop("pressure")
+    air.velocity.x.scatter_forward()
+    air.pressure.x.scatter_forward()
+    for name in FLUID_CELLS:
+        setattr(air, name, cells.get(name))
+    for name in FLUID_NODES:
+        value = nodes.get(name)
+        if value is not None:
+            full = np.zeros((air.nodes, *value.shape[1:]))
+            full[:own] = value
+            value = air.node_halo.forward(full)
+        setattr(air, name, value)
+    air.time, air.dt, air.step, air._to_close = (float(same["time"]), float(same["dt"]), int(same["step"]), int(same["to_close"]))
+
+
+def scalar_state(scalar):
+    """The nodal values."""
+    own = scalar.fluid.owned_nodes
+    return {"nodes": (scalar.fluid.node_position[:own], {"value": scalar.value.x.array[:own]})}
+
+
+def set_scalar(scalar, state):
+    """Take the values back."""
+    scalar.value.x.array[:scalar.fluid.owned_nodes] = state["nodes"]["value"]
+    scalar.value.x.scatter_forward()
+
+
+def inlet_state(inlet):
+    """What waits, and the state of the random numbers."""
+    return {"same": (None, {"inserted": inlet.inserted, "waiting": inlet.waiting, "next": np.nan if inlet.next is None else inlet.next,
+                            "generator": json.dumps(inlet.generator.bit_generator.state)})}
+
+
+def set_inlet(inlet, state):
+    """Take them back."""
+    same = state["same"]
+    inlet.inserted, inlet.waiting = int(same["inserted"]), float(same["waiting"])
+    inlet.next = None if np.isnan(same["next"]) else float(same["next"])
+    inlet.generator.bit_generator.state = json.loads(same["generator"])
+
+
+def nearest(points, wanted, period):
+    """Index of the point at each wanted place, and whether there is one within a millionth of the mesh; periodic boxes wrap."""
+    from scipy.spatial import cKDTree  # where a checkpoint is loaded, nowhere else
+    if not len(points) or not len(wanted):
+        return np.zeros(len(wanted), np.int64), np.zeros(len(wanted), bool)
+    size, box = np.ptp(points, 0).max() + np.abs(points).max(), None
+    if period is not None and np.any(period):
+        box = np.asarray(period, float)
+        points, wanted = (np.where(box > 0, x - np.floor(x / np.where(box > 0, box, 1)) * box, x) for x in (points, wanted))
+        points, wanted = (np.where((box > 0) & (x >= box), 0.0, x) for x in (points, wanted))
+        lower = np.where(box > 0, 0.0, np.minimum(points.min(0), wanted.min(0)))  # the tree wants no negative places
+        points, wanted = points - lower, wanted - lower
+    distance, index = cKDTree(points, boxsize=box).query(wanted, distance_upper_bound=1e-6 * size)
+    found = np.isfinite(distance)
+    return np.where(found, index, 0), found
+
+
+PARTS = {"Particles": (particles_state, set_particles), "Contacts": (contacts_state, set_contacts),
+         "VolumeAveragedNavierStokes": (fluid_state, set_fluid), "Scalar": (scalar_state, set_scalar),
+         "Inlet": (inlet_state, set_inlet)}
