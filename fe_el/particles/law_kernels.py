@@ -22,7 +22,7 @@ import math
 import numpy as np
 from numba import njit
 
-BLOCK = 256
+BLOCK = 264  # no power of two: the rows of one contact would share few sets of the cache
 ROWS = 34
 FAST = {"contract", "reassoc", "nsz", "arcp"}  # no finite-math assumption: NaN must stay visible
 B = BLOCK
