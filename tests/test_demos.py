@@ -9,6 +9,7 @@ from demos import (
     contacts_only,
     error_against_run_time,
     flow_past_cylinder,
+    fluid_error,
     fluid_speed,
     fluidised_bed,
     ico_foam,
@@ -131,12 +132,27 @@ def test_flow_past_cylinder(folder):
 
 
 def test_fluid_speed(folder, monkeypatch):
-    """The error falls with the mesh at second order; without icoFoam it says so and goes on."""
-    monkeypatch.setattr(ico_foam, "installed", lambda: False)
+    """Without icoFoam it says so and goes on."""
     monkeypatch.setattr(fluid_speed.ico_foam, "installed", lambda: False)
-    summary = fluid_speed.main([3], 5, [16, 32], 1, folder, progress=False)
-    assert summary["vortex_fe_el_16_error"] > 3.2 * summary["vortex_fe_el_32_error"]
+    summary = fluid_speed.main([3], 5, 1, folder, progress=False)
     assert summary["cube_fe_el_3_cells"] == 162 and summary["cube_fe_el_3_seconds"] > 0
+
+
+def test_fluid_error(folder, monkeypatch, capfd):
+    """The vortex' error falls at second order, and faster with Taylor-Hood; the cavity runs; without icoFoam it says so."""
+    from pathlib import Path
+    monkeypatch.setattr(fluid_error.ico_foam, "installed", lambda: False)
+    summary = fluid_error.main([16, 32], [16], [8, 16], [8], [8], [4], 4.0, 1, folder, progress=False)
+    assert "icoFoam is not installed" in capfd.readouterr().out and not any("icoFoam" in key for key in summary)
+    assert summary["vortex_fe_el_16_error"] > 3.2 * summary["vortex_fe_el_32_error"]
+    assert summary["vortex_Taylor_Hood_16_error"] < summary["vortex_fe_el_16_error"]
+    assert summary["vortex_Taylor_Hood_8_error"] > 5 * summary["vortex_Taylor_Hood_16_error"]
+    assert 10 * summary["vortex_Taylor_Hood_explicit_16_error"] < summary["vortex_fe_el_16_error"]
+    assert 0 < summary["cavity_fe_el_8_error"] < 1 and 0 < summary["cavity_Taylor_Hood_4_error"] < 1
+    assert summary["cavity_fe_el_8_cells"] == 256 and summary["cavity_fe_el_8_deviation_from_ghia"] < 1
+    with open(folder + "/fluid_error.csv") as file:
+        assert len(file.readlines()) == 9
+    assert (Path(folder) / "fluid_error.png").is_file()
 
 
 def test_cases_for_ico_foam_are_complete(folder):

@@ -5,6 +5,7 @@ from numba import njit
 
 from fe_el.particles.location import INSIDE, walk
 
+FAST = {"contract", "reassoc", "nsz", "arcp"}
 INNER, OUTER = 0.6276065, 0.9085281  # centroids of two shells that share the sphere's volume, in radii
 
 
@@ -24,45 +25,70 @@ def cfdem_points():
     return np.vstack([np.zeros((1, 3)), INNER * directions, OUTER * directions])
 
 
+@njit(cache=True, fastmath=FAST)
+def _cut_facets(barycentric, c, x, y, z, r, cut, at):
+    """Facets of cell c that a sphere reaches, and the barycentric coordinate of its centre there; returns their number."""
+    cuts = 0
+    for f in range(barycentric.shape[1]):  # the coordinate is the distance to the facet over the height there
+        bx, by, bz = barycentric[c, f, 0], barycentric[c, f, 1], barycentric[c, f, 2]
+        value = bx * x + by * y + bz * z + barycentric[c, f, 3]
+        cut[cuts], at[cuts] = f, value
+        cuts += (value < 0.0) | (value * value < r * r * (bx * bx + by * by + bz * bz))
+    return cuts
+
+
+@njit(cache=True, fastmath=FAST)
+def _inside(barycentric, c, x, y, z):
+    """Whether a point is in cell c, without a branch."""
+    inside = True
+    for f in range(barycentric.shape[1]):
+        inside &= barycentric[c, f, 0] * x + barycentric[c, f, 1] * y + barycentric[c, f, 2] * z + barycentric[c, f, 3] >= INSIDE
+    return inside
+
+
+@njit(cache=True, fastmath=FAST)
+def _outside(barycentric, c, r, points, cuts, cut, at, low, out, facet):
+    """Points of a sphere outside its cell: fills ``out`` and the facet that each is farthest beyond; returns their number."""
+    size = points.shape[1]
+    for s in range(size):
+        low[s] = INSIDE
+        facet[s] = -1
+    for n in range(cuts):
+        bx, by, bz = r * barycentric[c, cut[n], 0], r * barycentric[c, cut[n], 1], r * barycentric[c, cut[n], 2]
+        for s in range(size):
+            value = at[n] + bx * points[0, s] + by * points[1, s] + bz * points[2, s]
+            beyond = value < low[s]
+            low[s] = value if beyond else low[s]
+            facet[s] = cut[n] if beyond else facet[s]
+    number = 0
+    for s in range(size):
+        out[number] = s
+        number += facet[s] >= 0
+    return number
+
+
 @njit(cache=True)
 def _shares(barycentric, neighbour, shift, cell, position, radius, points, start, cells, weights):
-    """Fill the shares; points outside the domain do not count."""
-    number, here, m = 0, np.empty(3), barycentric.shape[1]
-    cut, at = np.empty(m, np.int64), np.empty(m)
+    """Fill the shares; points (3, points), in radii, that lie outside the domain do not count."""
+    number, here, m, size = 0, np.empty(3), barycentric.shape[1], points.shape[1]
+    periodic, cut, at, low = len(shift) > 0, np.empty(m + 1, np.int64), np.empty(m + 1), np.empty(size)
+    out, facet = np.empty(size + 1, np.int32), np.empty(size, np.int32)
     for i in range(len(cell)):
         start[i] = number
-        c, cuts, r = cell[i], 0, radius[i]
-        for f in range(m):  # distance to facet f over the height there is the barycentric coordinate
-            b = barycentric[c, f]
-            value = b[0] * position[i, 0] + b[1] * position[i, 1] + b[2] * position[i, 2] + b[3]
-            if value < r * np.sqrt(b[0] * b[0] + b[1] * b[1] + b[2] * b[2]):
-                cut[cuts], at[cuts] = f, value
-                cuts += 1
-        if cuts == 0 or len(points) == 1:
-            cells[number], weights[number] = c, 1.0
-            number += 1
-            continue
-        found, own = 0, 0
-        for s in range(len(points)):
-            low, facet = INSIDE, -1
-            for n in range(cuts):
-                b = barycentric[c, cut[n]]
-                value = at[n] + r * (b[0] * points[s, 0] + b[1] * points[s, 1] + b[2] * points[s, 2])
-                if value < low:
-                    low, facet = value, cut[n]
-            if facet < 0:
-                own += 1
-                continue
-            for k in range(3):
-                here[k] = position[i, k] + r * points[s, k]
-            target = neighbour[c, facet]
-            if target >= 0:  # one step of the walk is known already
-                if len(shift):
-                    for k in range(3):
-                        here[k] += shift[c, facet, k]
-            else:
-                target = c
-            target = walk(barycentric, neighbour, shift, target, here, 100)
+        c, r = cell[i], radius[i]
+        cuts = _cut_facets(barycentric, c, position[i, 0], position[i, 1], position[i, 2], r, cut, at) if size > 1 else 0
+        beyond = _outside(barycentric, c, r, points, cuts, cut, at, low, out, facet) if cuts > 0 else 0
+        own, found = size - beyond, 0
+        for n in range(beyond):
+            s = out[n]
+            f = facet[s]
+            target = neighbour[c, f]
+            x, y, z = position[i, 0] + r * points[0, s], position[i, 1] + r * points[1, s], position[i, 2] + r * points[2, s]
+            if target >= 0 and periodic:
+                x, y, z = x + shift[c, f, 0], y + shift[c, f, 1], z + shift[c, f, 2]
+            if target < 0 or not _inside(barycentric, target, x, y, z):  # most are in the cell across the facet
+                here[0], here[1], here[2] = x, y, z
+                target = walk(barycentric, neighbour, shift, target if target >= 0 else c, here, 100)
             if target < 0:
                 continue
             if target == c:
@@ -128,8 +154,8 @@ class SatellitePoints:
         n = len(cell)
         self.start = np.empty(n + 1, np.int64)
         index, weight = np.empty(n * len(self.points) + 1, np.int32), np.empty(n * len(self.points) + 1)
-        number = _shares(cells.barycentric, cells.neighbour, cells.shift, cell, position, radius, self.points, self.start, index,
-                         weight)
+        number = _shares(cells.barycentric, cells.neighbour, cells.shift, cell, position, radius,
+                         np.ascontiguousarray(self.points.T), self.start, index, weight)
         self.cell, self.weight = index[:number], weight[:number]
 
     def deposit(self, quantity, out):
