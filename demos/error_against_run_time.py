@@ -127,7 +127,8 @@ def picture(output, rows):
     from matplotlib import pyplot as plt
     figure, axis = plt.subplots(figsize=(7, 5))
     for key in dict.fromkeys((r["scheme"], r["cells"]) for r in rows):
-        curve = sorted((r["seconds"], r["slip_error"]) for r in rows if (r["scheme"], r["cells"]) == key and r["stable"])
+        curve = sorted((r["seconds"], r["slip_error"]) for r in rows if (r["scheme"], r["cells"]) == key and r["stable"]
+                       and r["slip_error"] > 0)  # zero: the reference itself
         if curve:
             axis.loglog(*zip(*curve), marker="o", label=f"{key[0]}, {key[1]} cubes across")
     axis.axhline(0.05, color="k", lw=0.6, ls=":")
