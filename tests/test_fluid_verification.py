@@ -240,6 +240,24 @@ def test_scalar_constant_stays_and_content_is_kept_while_the_void_fraction_moves
     assert np.ptp(totals) < 1e-11
 
 
+@pytest.mark.parametrize("wall", ["set_no_slip", "set_slip"])
+def test_order_in_time_beside_walls(wall):
+    """A force that grows and turns in a closed box: steps halved twice on one mesh, nodal and cell velocities."""
+    nodal, cell = [], []
+    for steps in (16, 32, 64):
+        mesh, tags = fe_el.box((1.0, 1.0), (10, 10))
+        air = fe_el.VolumeAveragedNavierStokes(mesh, tags, 1.0, 1e-3, tolerance=1e-12)
+        for side in (1, 2, 3, 4):
+            getattr(air, wall)(side)
+        air.body_force = lambda t, x: np.column_stack([np.sin(2 * t) * np.sin(PI * x[:, 1]), np.sin(t) * np.cos(PI * x[:, 0])])
+        for _ in range(steps):
+            air.advance(0.4 / steps)
+        nodal.append(air.nodal_velocity.copy())
+        cell.append(air.velocity.x.array.copy())
+    for v in (nodal, cell):
+        assert np.log2(np.linalg.norm(v[0] - v[1]) / np.linalg.norm(v[1] - v[2])) > 1.9
+
+
 @pytest.mark.parametrize("time_order", [1, 2])
 def test_scalar_has_the_order_of_the_fluid(time_order):
     """A wave that drifts and diffuses under a source: steps halved twice on one mesh, differences fall with the order."""
