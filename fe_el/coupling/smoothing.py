@@ -125,23 +125,21 @@ class HelmholtzSmoothing:
         self.halo = Halo.of_requests(comm, n + np.arange(len(ghosts)), owners, ghosts - starts[owners])
         self.rows = n + len(ghosts)
         self.start, self.column, self.value = start.astype(np.int64), local.astype(np.int32), value.copy()
-        self.diagonal = csr_matrix((value, local, start), (n, self.rows)).diagonal()
+        self.inverse_diagonal = 1 / csr_matrix((value, local, start), (n, self.rows)).diagonal()
 
     def _solve(self, load):
         """Approximate H^-1 load by the Chebyshev polynomial; owned entries are right on return."""
         n, k = self.nodes.owned, load.shape[1]
-        inverse = 1 / self.diagonal
-        x_old, x = np.zeros((self.rows, k)), np.zeros((self.rows, k))
+        inverse, (x_old, x, new) = self.inverse_diagonal, np.zeros((3, self.rows, k))
         x[:n] = inverse[:, None] * load[:n] / self.middle
         sigma = self.middle / self.half
         rho = 1 / sigma
         for _ in range(self.iterations - 1):
             self.halo.forward(x)
             rho_new = 1 / (2 * sigma - rho)
-            new = np.empty_like(x)
             _chebyshev_step(self.start, self.column, self.value, inverse, load, x, x_old, new, rho_new * rho,
                             2 * rho_new / self.half, n)
-            x_old, x, rho = x, new, rho_new
+            x_old, x, new, rho = x, new, x_old, rho_new
         return x
 
     def __call__(self, field):

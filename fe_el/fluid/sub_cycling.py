@@ -40,6 +40,7 @@ class SubCycled:
         if courant is not None and not (courant > 0 and most >= 1):
             raise ValueError(f"courant is {courant} and most {most}; they must be greater than zero.")
         self.fluid, self.steps, self.courant, self.most, self.steps_last = fluid, steps, courant, most, 0
+        self._void_fraction = fem.Function(fem.FunctionSpace(fluid.mesh, ("DG", 0)))
         self.mean_velocity = fem.Function(fluid.velocity.function_space, name="mean_velocity")
         self.mean_pressure = fem.Function(fluid.space, name="mean_pressure")
 
@@ -52,7 +53,7 @@ class SubCycled:
         air, count = self.fluid, self.steps
         if count is None:
             count = int(np.clip(np.ceil(air.courant(dt) / self.courant), 1, self.most))
-        n, phi = air.num_cells, fem.Function(fields[0].function_space)
+        n, phi = air.num_cells, self._void_fraction
         new = fields[0].x.array[:n].copy()
         old = new if air.void_fraction is None else air.void_fraction
         velocity, pressure = np.zeros_like(air.velocity.x.array), np.zeros_like(air.pressure.x.array)
