@@ -6,26 +6,19 @@ from scipy.sparse import csr_matrix
 
 from fe_el.checks import require_positive
 from fe_el.exchange import Halo
+from fe_el.fluid.for_each_dimension import M, by_dimension
+from fe_el.fluid.kernels import scatter
 from fe_el.fluid.linear_solver import ElementMatrix
 from fe_el.mesh import barycentric_maps, owned_corners
 
 
-@njit(cache=True)
-def _to_nodes(dofs, volume, field, out):
-    share = 1.0 / dofs.shape[1]
-    for c in range(len(dofs)):
-        for i in range(dofs.shape[1]):
-            for k in range(field.shape[1]):
-                out[dofs[c, i], k] += share * volume[c] * field[c, k]
-
-
-@njit(cache=True)
+@by_dimension
 def _to_cells(dofs, values, out):
-    share = 1.0 / dofs.shape[1]
+    share = 1.0 / M
     for c in range(len(dofs)):
         for k in range(values.shape[1]):
             total = 0.0
-            for i in range(dofs.shape[1]):
+            for i in range(M):
                 total += values[dofs[c, i], k]
             out[c, k] = share * total
 
@@ -61,7 +54,7 @@ class Nodes:
     def load(self, field):
         """Nodal integrals (nodes, k) of a cell field, complete on owned nodes."""
         out = np.zeros((self.number, field.shape[1]))
-        _to_nodes(self.dofs, self.measure, np.ascontiguousarray(field), out)
+        scatter(self.dofs, self.measure[:, None] * field, out)
         return self.halo.reverse_add(out)
 
     def means(self, values):
