@@ -26,14 +26,12 @@ def _to_cells(dofs, values, out):
 @njit(cache=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
 def _chebyshev_step(start, column, value, inverse_diagonal, b, x, x_old, new, first, second, owned):
     """new = x + first (x - x_old) + second D^-1 (b - H x) on the owned rows."""
-    row = np.empty(b.shape[1])
     for i in range(owned):
-        row[:] = b[i]
-        for n in range(start[i], start[i + 1]):
-            for k in range(b.shape[1]):
-                row[k] -= value[n] * x[column[n], k]
         for k in range(b.shape[1]):
-            new[i, k] = x[i, k] + first * (x[i, k] - x_old[i, k]) + second * inverse_diagonal[i] * row[k]
+            rest = b[i, k]
+            for n in range(start[i], start[i + 1]):
+                rest -= value[n] * x[column[n], k]
+            new[i, k] = x[i, k] + first * (x[i, k] - x_old[i, k]) + second * inverse_diagonal[i] * rest
 
 
 class Nodes:
