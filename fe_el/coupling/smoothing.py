@@ -6,32 +6,53 @@ from scipy.sparse import csr_matrix
 
 from fe_el.checks import require_positive
 from fe_el.exchange import Halo
-from fe_el.fluid.for_each_dimension import M, by_dimension
-from fe_el.fluid.kernels import scatter
+from fe_el.fluid.for_each_dimension import FAST, M, by_dimension
 from fe_el.fluid.linear_solver import ElementMatrix
 from fe_el.mesh import barycentric_maps, owned_corners
 
 
 @by_dimension
-def _to_cells(dofs, values, out):
+def _to_nodes(dofs, measure, field, mean, out):
+    """Add the integrals of a cell field less ``mean`` to the nodes, in equal shares."""
+    for c in range(len(dofs)):
+        for k in range(field.shape[1]):
+            part = (field[c, k] - mean[k]) * measure[c] / M
+            for i in range(M):
+                out[dofs[c, i], k] += part
+
+
+@by_dimension
+def _to_cells(dofs, values, mean, out):
+    """Cell means of nodal values, plus ``mean``."""
     share = 1.0 / M
     for c in range(len(dofs)):
         for k in range(values.shape[1]):
             total = 0.0
             for i in range(M):
                 total += values[dofs[c, i], k]
-            out[c, k] = share * total
+            out[c, k] = share * total + mean[k]
 
 
-@njit(cache=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
-def _chebyshev_step(start, column, value, inverse_diagonal, b, x, x_old, new, first, second, owned):
-    """new = x + first (x - x_old) + second D^-1 (b - H x) on the owned rows."""
-    for i in range(owned):
-        for k in range(b.shape[1]):
-            rest = b[i, k]
-            for n in range(start[i], start[i + 1]):
-                rest -= value[n] * x[column[n], k]
-            new[i, k] = x[i, k] + first * (x[i, k] - x_old[i, k]) + second * inverse_diagonal[i] * rest
+@njit(cache=True, fastmath=FAST)
+def _chebyshev(start, column, value, inverse_diagonal, b, x_old, x, new, first, second, owned):
+    """new = x + first (x - x_old) + second D^-1 (b - H x) on the owned rows, once for each ``first``; components in pairs."""
+    k = b.shape[1]
+    for step in range(len(first)):
+        for i in range(owned):
+            scale = second[step] * inverse_diagonal[i]
+            for j in range(0, k - 1, 2):
+                rest, other = b[i, j], b[i, j + 1]
+                for n in range(start[i], start[i + 1]):
+                    rest -= value[n] * x[column[n], j]
+                    other -= value[n] * x[column[n], j + 1]
+                new[i, j] = x[i, j] + first[step] * (x[i, j] - x_old[i, j]) + scale * rest
+                new[i, j + 1] = x[i, j + 1] + first[step] * (x[i, j + 1] - x_old[i, j + 1]) + scale * other
+            if k % 2:
+                rest = b[i, k - 1]
+                for n in range(start[i], start[i + 1]):
+                    rest -= value[n] * x[column[n], k - 1]
+                new[i, k - 1] = x[i, k - 1] + first[step] * (x[i, k - 1] - x_old[i, k - 1]) + scale * rest
+        x_old, x, new = x, new, x_old
 
 
 class Nodes:
@@ -47,18 +68,21 @@ class Nodes:
         index_map = self.space.dofmap.index_map
         self.owned, self.number = index_map.size_local, index_map.size_local + index_map.num_ghosts
         self.halo, self.measure = Halo.of_index_map(self.comm, index_map), measure
+        self.corner = self.dofs.astype(np.uint32)  # without a sign no index is checked for being negative
         self.total = self.comm.allreduce(measure.sum())
 
-    def load(self, field):
-        """Nodal integrals (nodes, k) of a cell field, complete on owned nodes."""
-        out = np.zeros((self.number, field.shape[1]))
-        scatter(self.dofs, self.measure[:, None] * field, out)
+    def load(self, field, mean=None):
+        """Nodal integrals (nodes, k) of a cell field less ``mean`` (k), complete on owned nodes."""
+        k = field.shape[1]
+        out = np.zeros((self.number, k))
+        _to_nodes(self.corner, self.measure, field, np.zeros(k) if mean is None else mean, out)
         return self.halo.reverse_add(out)
 
-    def means(self, values):
-        """Cell means (cells, k) of nodal values."""
-        out = np.empty((len(self.dofs), values.shape[1]))
-        _to_cells(self.dofs, values, out)
+    def means(self, values, mean=None):
+        """Cell means (cells, k) of nodal values, plus ``mean`` (k)."""
+        k = values.shape[1]
+        out = np.empty((len(self.corner), k))
+        _to_cells(self.corner, values, np.zeros(k) if mean is None else mean, out)
         return out
 
 
@@ -98,10 +122,16 @@ class HelmholtzSmoothing:
         low = -nodes.comm.allreduce(-spectrum[:, 0].min(initial=np.inf), op=_max())
         high = nodes.comm.allreduce(spectrum[:, -1].max(initial=0.0), op=_max())
         self._local_rows(matrix.matrix)
+        self.mass = nodes.load(np.ones((len(nodes.dofs), 1)))[:nodes.owned, 0]
         self.middle, self.half = 0.5 * (high + low), max(0.5 * (high - low), 1e-12 * high)
         root = np.sqrt(high / low)
         rate = (root - 1) / (root + 1)
         self.iterations = max(int(np.ceil(np.log(tolerance / 2) / np.log(max(rate, 1e-12)))), 2)
+        rho = [self.half / self.middle]
+        for _ in range(self.iterations - 1):
+            rho.append(1 / (2 * self.middle / self.half - rho[-1]))
+        rho = np.array(rho)
+        self.first, self.second = rho[1:] * rho[:-1], 2 * rho[1:] / self.half
 
     def _local_rows(self, matrix):
         """The owned rows as arrays with local columns, and the exchange for the columns of other ranks."""
@@ -115,7 +145,7 @@ class HelmholtzSmoothing:
         owners = np.searchsorted(starts, ghosts, side="right") - 1
         self.halo = Halo.of_requests(comm, n + np.arange(len(ghosts)), owners, ghosts - starts[owners])
         self.rows = n + len(ghosts)
-        self.start, self.column, self.value = start.astype(np.int64), local.astype(np.int32), value.copy()
+        self.start, self.column, self.value = start.astype(np.uint64), local.astype(np.uint32), value.copy()
         self.inverse_diagonal = 1 / csr_matrix((value, local, start), (n, self.rows)).diagonal()
 
     def _solve(self, load):
@@ -123,24 +153,23 @@ class HelmholtzSmoothing:
         n, k = self.nodes.owned, load.shape[1]
         inverse, (x_old, x, new) = self.inverse_diagonal, np.zeros((3, self.rows, k))
         x[:n] = inverse[:, None] * load[:n] / self.middle
-        sigma = self.middle / self.half
-        rho = 1 / sigma
-        for _ in range(self.iterations - 1):
-            self.halo.forward(x)
-            rho_new = 1 / (2 * sigma - rho)
-            _chebyshev_step(self.start, self.column, self.value, inverse, load, x, x_old, new, rho_new * rho,
-                            2 * rho_new / self.half, n)
-            x_old, x, new, rho = x, new, x_old, rho_new
+        at_once = len(self.first) if self.nodes.comm.size == 1 else 1
+        for i in range(0, len(self.first), at_once):
+            part = slice(i, i + at_once)
+            _chebyshev(self.start, self.column, self.value, inverse, load, x_old, self.halo.forward(x), new, self.first[part],
+                       self.second[part], n)
+            for _ in self.first[part]:
+                x_old, x, new = x, new, x_old
         return x
 
     def __call__(self, field):
         """Smoothed cell field (owned cells, k)."""
-        nodes = self.nodes
+        nodes, n = self.nodes, self.nodes.owned
         mean = nodes.comm.allreduce(nodes.measure @ field) / nodes.total
         values = np.zeros((nodes.number, field.shape[1]))
-        values[:nodes.owned] = self._solve(nodes.load(field - mean))[:nodes.owned]
-        out = nodes.means(nodes.halo.forward(values))
-        return out + (mean - nodes.comm.allreduce(nodes.measure @ out) / nodes.total)
+        values[:n] = self._solve(nodes.load(field, mean))[:n]
+        lost = nodes.comm.allreduce(self.mass @ values[:n]) / nodes.total
+        return nodes.means(nodes.halo.forward(values), mean - lost)
 
 
 class PatchAverage:
