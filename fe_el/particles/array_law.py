@@ -31,7 +31,7 @@ class ArrayLaw:
         return self._contact_time
 
 
-def array_forces(law, x, v, w, force, torque, radius, inverse_mass, first, second, spring, stamp, step, h):
+def array_forces(law, x, state, force, radius, inverse_mass, first, second, spring, stamp, step, h):
     """Add the pair forces of an :class:`ArrayLaw`; returns the number of contacts and the largest overlap over diameter."""
     at = touching_pairs(x, radius, first, second)
     i, j = first[at], second[at]
@@ -39,6 +39,7 @@ def array_forces(law, x, v, w, force, torque, radius, inverse_mass, first, secon
     r = np.linalg.norm(d, axis=1)
     normal, reach = d / r[:, None], radius[i] + radius[j]
     arms = (radius[i] * r / reach, radius[j] * r / reach)
+    v, w = state[:, 1:4], state[:, 4:7]
     u = v[i] - v[j] - np.cross(arms[0][:, None] * w[i] + arms[1][:, None] * w[j], normal)
     un = (u * normal).sum(1)
     old = np.where((stamp[at] == step - 1)[:, None], spring[at, :3], 0.0)
@@ -48,5 +49,5 @@ def array_forces(law, x, v, w, force, torque, radius, inverse_mass, first, secon
     fn, ft, new = law.function(reach - r, 1.5 * un - 0.5 * before, u - un[:, None] * normal, old, 1 / (inverse_mass[i] + inverse_mass[j]),
                                radius[i] * radius[j] / reach, h)
     spring[at, :3], stamp[at] = new, step
-    scatter_arrays(i, j, np.ascontiguousarray(np.asarray(fn)[:, None] * normal + ft), *arms, normal, force, torque)
+    scatter_arrays(i, j, np.ascontiguousarray(np.asarray(fn)[:, None] * normal + ft), *arms, normal, force)
     return len(at), 0.5 * ((reach - r) / np.minimum(radius[i], radius[j])).max(initial=0.0)

@@ -46,11 +46,13 @@ class ContactLists:
         return float((np.linalg.norm(moving[:, 3:6], axis=1) + np.linalg.norm(moving[:, 6:], axis=1) * size).max())
 
     def pack(self):
-        """Position, velocity and angular velocity of owned and ghost particles."""
-        p, g = self.particles, self.ghosts
-        x = g.grow(p.position)
-        x[g.owned:] += g.shift
-        return x, g.grow(p.velocity), g.grow(p.angular_velocity)
+        """Positions, and rows of state and of forces (zero), of owned and ghost particles."""
+        p, n = self.particles, self.ghosts.owned
+        x, state = np.empty((len(self.radius), 3)), np.empty((len(self.radius), 8))
+        x[:n], state[:n, 1:4], state[:n, 4:7] = p.position, p.velocity, p.angular_velocity
+        state[:, 0], state[:, 7] = self.radius, self.inverse_mass / self.radius
+        self.ghosts.forward_state(x, state)
+        return x, state, np.zeros_like(state)
 
     # -- renewal -------------------------------------------------------------------------------------------------------
 
@@ -160,7 +162,8 @@ class ContactLists:
         p = self.particles
         x, n = self.ghosts.grow(p.position), len(p)
         x[n:] += self.ghosts.shift
-        self.first, self.second = neighbours.neighbour_pairs(x, self.radius, n, self.skin)
+        pairs = neighbours.neighbour_pairs(x, self.radius, n, self.skin)
+        self.first, self.second = (a.view(np.uint32) for a in pairs)  # without a sign no index is checked for being negative
         empty = np.zeros(0, np.int32)
         self.wall_particle = self.wall_facet = self.shape_particle = self.shape_wall = empty
         if self.facets is not None:

@@ -143,45 +143,40 @@ class Contacts:
     def _run(self, h, most):
         """Sub-steps until the neighbour list is out of date (``stale``), at most ``most``; returns how many."""
         p, n, lists = self.particles, len(self.particles), self.lists
-        x, v, w = lists.pack()
+        x, state, force = lists.pack()
         mass = p.mass
         external = mass[:, None] * p.gravity + p.force
-        force, torque = np.zeros_like(x), np.zeros_like(x)
-        force[:n], torque[:n] = external + p.contact_force, p.contact_torque
+        force[:n, :3], force[:n, 4:7] = external + p.contact_force, p.contact_torque
         inverse_inertia = 10.0 / (mass * p.diameter ** 2)
         part, steps, wall_speed = 0.5, 0, lists.wall_speed()
         self.stale = False
         while steps < most and not self.stale:
-            moved = motion.kick_and_drift(x, v, w, force, torque, external, lists.inverse_mass, inverse_inertia, lists.x0,
-                                          part, h, n)
+            moved = motion.kick_and_drift(x, state, force, external, lists.inverse_mass, inverse_inertia, lists.x0, part, h, n)
             part, steps = 1.0, steps + 1
             if lists.ghosts.busy:
-                lists.ghosts.forward_position(x)
-                for a in (v, w):
-                    lists.ghosts.forward(a)
-                force[n:] = torque[n:] = 0.0
+                lists.ghosts.forward_state(x, state)
+                force[n:] = 0.0
             if lists.has_shapes:
                 move_walls(lists.kind, lists.shape, lists.motion, h)
-            self._forces(x, v, w, force, torque, h)
+            self._forces(x, state, force, h)
             lists.age += 1
             if p.comm.size > 1:
                 moved = p.comm.allreduce(moved, op=MPI.MAX)
             self.stale = not math.sqrt(moved) + wall_speed * h * lists.age <= 0.5 * lists.skin
         self._check_behind()
-        self._check_finite(x[:n], force[:n])
-        motion.kick(v, w, force, torque, lists.inverse_mass, inverse_inertia, 0.5 * h, n)
-        p.position, p.velocity, p.angular_velocity = x[:n].copy(), v[:n].copy(), w[:n].copy()
-        p.contact_force, p.contact_torque = force[:n] - external, torque[:n].copy()
+        self._check_finite(x[:n], force[:n, :3])
+        motion.kick(state, force, lists.inverse_mass, inverse_inertia, 0.5 * h, n)
+        p.position, p.velocity, p.angular_velocity = x[:n].copy(), state[:n, 1:4].copy(), state[:n, 4:7].copy()
+        p.contact_force, p.contact_torque = force[:n, :3] - external, force[:n, 4:7].copy()
         return steps
 
     def _first_forces(self):
         """Contact forces of particles that came from outside: the first half kick needs them."""
         p, n = self.particles, len(self.particles)
-        x, v, w = self.lists.pack()
-        force, torque = np.zeros_like(x), np.zeros_like(x)
-        self._forces(x, v, w, force, torque, 0.0)
-        self._check_finite(x[:n], force[:n])
-        p.contact_force, p.contact_torque = force[:n].copy(), torque[:n].copy()
+        x, state, force = self.lists.pack()
+        self._forces(x, state, force, 0.0)
+        self._check_finite(x[:n], force[:n, :3])
+        p.contact_force, p.contact_torque = force[:n, :3].copy(), force[:n, 4:7].copy()
 
     def _check_finite(self, x, force):
         """Stop before a position or force that is not a number spreads."""
@@ -194,30 +189,30 @@ class Contacts:
                        "law: insert without overlap, or use more steps_per_contact.")
         raise_everywhere(p.comm, FloatingPointError, message)
 
-    def _forces(self, x, v, w, force, torque, h):
-        """Wall and pair forces at one instant, added to ``force`` and ``torque``."""
+    def _forces(self, x, state, force, h):
+        """Wall and pair forces at one instant, added to the rows of ``force``."""
         lists, material = self.lists, self.lists.material
         self.step += 1
-        state = (x, v, w, force, torque, lists.radius, lists.inverse_mass)
+        rows = (x, state, force, lists.radius)
         if self.walls:
-            self._wall_forces(state, material, h)
+            self._wall_forces((*rows, lists.inverse_mass, material), h)
         pairs = (lists.first, lists.second, lists.springs[0], lists.stamps[0])
         if isinstance(self.law, ArrayLaw):
-            touching, overlap = array_forces(self.law, *state, *pairs, self.step, h)
+            touching, overlap = array_forces(self.law, *rows, lists.inverse_mass, *pairs, self.step, h)
         else:
-            touching, overlap = pair_forces(*state, material, *pairs, self.step, self.block, self.law.numbers, h)
+            touching, overlap = pair_forces(*rows, material, *pairs, self.step, self.block, self.law.numbers, h)
         self.touching = touching + self.touching_walls
         self.largest_overlap = max(self.largest_overlap, overlap)
 
-    def _wall_forces(self, state, material, h):
+    def _wall_forces(self, particles, h):
         """Forces of facets, planes and cylinders."""
         lists, deepest, self.touching_walls = self.lists, np.zeros(1), 0
         common = (lists.motion, lists.wall_material, self.wall_impulse, deepest, self.block, self.wall_law.numbers, h)
         if lists.facets is not None:
-            self._count(facet_forces(*state, material, lists.wall_particle, lists.wall_facet, lists.springs[1], lists.stamps[1],
+            self._count(facet_forces(*particles, lists.wall_particle, lists.wall_facet, lists.springs[1], lists.stamps[1],
                                      self.step, lists.facets[0], lists.facets[1], lists.facet_wall, *common))
         if lists.has_shapes:
-            self._count(shape_forces(*state, material, lists.shape_particle, lists.shape_wall, lists.springs[2], lists.stamps[2],
+            self._count(shape_forces(*particles, lists.shape_particle, lists.shape_wall, lists.springs[2], lists.stamps[2],
                                      self.step, lists.kind, lists.shape, *common))
         self.largest_overlap = max(self.largest_overlap, deepest[0])
 

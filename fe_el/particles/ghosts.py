@@ -2,6 +2,26 @@
 import itertools
 
 import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def _pack(rows, x, state, out):
+    """Position, velocity and angular velocity of the particles in ``rows``, one after the other."""
+    for n in range(len(rows)):
+        i = rows[n]
+        for k in range(3):
+            out[n, k], out[n, 3 + k], out[n, 6 + k] = x[i, k], state[i, 1 + k], state[i, 4 + k]
+
+
+@njit(cache=True)
+def _unpack(packed, shift, first, owned, x, state):
+    """Set ghosts from ``first`` on to what was packed, shifted for periodic images."""
+    for n in range(len(packed)):
+        i = first + n
+        for k in range(3):
+            x[i, k] = packed[n, k] + shift[i - owned, k]
+            state[i, 1 + k], state[i, 4 + k] = packed[n, 3 + k], packed[n, 6 + k]
 
 
 class Ghosts:
@@ -41,6 +61,7 @@ class Ghosts:
         self.busy = self.number > 0 or any(len(rows) for rows in self.send)
         ends = n + np.cumsum(self.counts)
         self.receive = [slice(e - c, e) for e, c in zip(ends, self.counts)]
+        self.buffers = [(np.empty((len(rows), 9)), np.empty((c, 9))) for rows, c in zip(self.send, self.counts)]
 
     def grow(self, array):
         """A copy of an owned array with the ghosts' values behind it."""
@@ -63,8 +84,18 @@ class Ghosts:
             request.Wait()
         return array
 
-    def forward_position(self, x):
-        """Set the ghosts' positions, shifted for periodic images, in place."""
-        self.forward(x)
-        x[self.owned:] += self.shift
-        return x
+    def forward_state(self, x, state):
+        """Set the ghosts' positions (shifted for periodic images), velocities and angular velocities, in place."""
+        requests, me = [], self.comm.rank
+        for rank, (outgoing, incoming) in enumerate(self.buffers):
+            if rank != me and len(incoming):
+                requests.append(self.comm.Irecv(incoming, source=rank))
+            if len(outgoing):
+                _pack(self.send[rank], x, state, outgoing)
+                if rank != me:
+                    requests.append(self.comm.Isend(outgoing, dest=rank))
+        for request in requests:
+            request.Wait()
+        for rank, (outgoing, incoming) in enumerate(self.buffers):
+            if len(incoming):
+                _unpack(outgoing if rank == me else incoming, self.shift, self.receive[rank].start, self.owned, x, state)

@@ -4,18 +4,20 @@ A block holds ``BLOCK`` contacts as rows of one flat array: entry ``row * BLOCK 
 and primitive walls fill the same rows, so there is one kernel per law. The rows on entry:
 
     0-2   vector from the second to the first centre (a wall: from its nearest point)       3  its square
-    4     sum of the radii (a wall: the radius)              5-7   relative velocity of the centres
-    8-10  r1 w1 + r2 w2                                      11-13 tangential spring
-    14    inverse of the reduced mass                        15    stiffness k_n, or Young's modulus E*
-    16    damping number                                     17    friction
-    18    k_t / k_n, or G* / E*                              19    tangential over normal damping
-    20    reduced radius R*                                  21-23 w1 - w2
-    24-26 rolling spring                                     27    rolling friction          28 cohesion energy density
-    32    normal velocity half a step before that of row 9   33    1/2, or 0 at first touch
+    4     sum of the radii (a wall: the radius)              5     difference of the radii (pairs only)
+    6-8   relative velocity of the centres                   9-11  r1 w1 + r2 w2
+    12    inverse of the reduced mass                        13-15 tangential spring
+    16    normal velocity half a step before that of row 10  17    stiffness k_n, or Young's modulus E*
+    18    damping number                                     19    friction
+    20    k_t / k_n, or G* / E*                              21    tangential over normal damping
+    22    reduced radius R*                                  23-25 w1 - w2
+    26-28 rolling spring                                     29    rolling friction          30 cohesion energy density
+    34    1/2, or 0 at first touch
 
-Rows 29-31 pass stiffness and damping between the loops. Velocities are those of the half step before the forces; damping
-sees the normal velocity carried on to the full step, the tangential spring what really was slipped. On return 5-7 hold the force on the first body, 8-10 that force times the arm fraction, crossed with the normal (torque per
-radius), 11-13 and 24-26 the new springs, 21-23 the rolling torque on the first body, 32 the normal velocity for the next step.
+Rows 31-33 pass stiffness and damping between the loops. Velocities are those of the half step before the forces; damping
+sees the normal velocity carried on to the full step, the tangential spring what really was slipped. On return 6-8 hold the
+force on the first body, 9-11 that force times the arm fraction, crossed with the normal (torque per radius), 13-15 and 26-28
+the new springs, 23-25 the rolling torque on the first body, 16 the normal velocity for the next step.
 """
 import math
 
@@ -23,7 +25,7 @@ import numpy as np
 from numba import njit
 
 BLOCK = 264  # no power of two: the rows of one contact would share few sets of the cache
-ROWS = 34
+ROWS = 35
 FAST = {"contract", "reassoc", "nsz", "arcp"}  # no finite-math assumption: NaN must stay visible
 B = BLOCK
 
@@ -35,97 +37,97 @@ def new_block():
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def geometry(b, m):
-    """Rows 0-2 become the normal, 3 the distance, 4 the overlap, 5-7 the velocity at the contact, 8 the arm fraction, 9 v_n."""
+    """Rows 0-2 become the normal, 3 the distance, 4 the overlap, 6-8 the velocity at the contact, 9 the arm fraction, 10 v_n."""
     for n in range(m):
         inverse = 1.0 / math.sqrt(b[n + 3 * B])
         r = b[n + 3 * B] * inverse
         nx, ny, nz = b[n] * inverse, b[n + B] * inverse, b[n + 2 * B] * inverse
         q = r / b[n + 4 * B]
-        wx, wy, wz = q * b[n + 8 * B], q * b[n + 9 * B], q * b[n + 10 * B]
-        ux = b[n + 5 * B] - (wy * nz - wz * ny)
-        uy = b[n + 6 * B] - (wz * nx - wx * nz)
-        uz = b[n + 7 * B] - (wx * ny - wy * nx)
+        wx, wy, wz = q * b[n + 9 * B], q * b[n + 10 * B], q * b[n + 11 * B]
+        ux = b[n + 6 * B] - (wy * nz - wz * ny)
+        uy = b[n + 7 * B] - (wz * nx - wx * nz)
+        uz = b[n + 8 * B] - (wx * ny - wy * nx)
         b[n] = nx
         b[n + B] = ny
         b[n + 2 * B] = nz
         b[n + 3 * B] = r
         b[n + 4 * B] = b[n + 4 * B] - r
-        b[n + 5 * B] = ux
-        b[n + 6 * B] = uy
-        b[n + 7 * B] = uz
-        b[n + 8 * B] = q
-        b[n + 9 * B] = ux * nx + uy * ny + uz * nz
+        b[n + 6 * B] = ux
+        b[n + 7 * B] = uy
+        b[n + 8 * B] = uz
+        b[n + 9 * B] = q
+        b[n + 10 * B] = ux * nx + uy * ny + uz * nz
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def linear(b, m):
     """Linear spring-dashpot: F_n = k overlap - eta v_n.
 
-    Sets rows 10 (F_n), 29 (tangential stiffness), 30 (tangential damping) and 31 (normal stiffness).
+    Sets rows 11 (F_n), 31 (tangential stiffness), 32 (tangential damping) and 33 (normal stiffness).
     """
     for n in range(m):
-        k = b[n + 15 * B]
-        eta = b[n + 16 * B] * math.sqrt(k / b[n + 14 * B])
-        b[n + 10 * B] = k * b[n + 4 * B] - eta * (b[n + 9 * B] + b[n + 33 * B] * (b[n + 9 * B] - b[n + 32 * B]))
-        b[n + 32 * B] = b[n + 9 * B]
-        b[n + 29 * B] = b[n + 18 * B] * k
-        b[n + 30 * B] = b[n + 19 * B] * eta
-        b[n + 31 * B] = k
+        k = b[n + 17 * B]
+        eta = b[n + 18 * B] * math.sqrt(k / b[n + 12 * B])
+        b[n + 11 * B] = k * b[n + 4 * B] - eta * (b[n + 10 * B] + b[n + 34 * B] * (b[n + 10 * B] - b[n + 16 * B]))
+        b[n + 16 * B] = b[n + 10 * B]
+        b[n + 31 * B] = b[n + 20 * B] * k
+        b[n + 32 * B] = b[n + 21 * B] * eta
+        b[n + 33 * B] = k
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def hertz(b, m):
     """Hertz-Mindlin: F_n = 4/3 E* sqrt(R* d) d, k_t = 8 G* sqrt(R* d), damping of constant restitution (Tsuji et al. 1992)."""
     for n in range(m):
-        overlap, inverse_mass, damping = b[n + 4 * B], b[n + 14 * B], b[n + 16 * B]
-        k = 2.0 * b[n + 15 * B] * math.sqrt(b[n + 20 * B] * overlap)
-        kt = 4.0 * b[n + 18 * B] * k
+        overlap, inverse_mass, damping = b[n + 4 * B], b[n + 12 * B], b[n + 18 * B]
+        k = 2.0 * b[n + 17 * B] * math.sqrt(b[n + 22 * B] * overlap)
+        kt = 4.0 * b[n + 20 * B] * k
         eta = damping * math.sqrt(k / inverse_mass)
-        un = b[n + 9 * B] + b[n + 33 * B] * (b[n + 9 * B] - b[n + 32 * B])
-        b[n + 10 * B] = 2.0 / 3.0 * k * overlap - eta * un
-        b[n + 32 * B] = b[n + 9 * B]
-        b[n + 29 * B] = kt
-        b[n + 30 * B] = b[n + 19 * B] * damping * math.sqrt(kt / inverse_mass)
-        b[n + 31 * B] = k
+        un = b[n + 10 * B] + b[n + 34 * B] * (b[n + 10 * B] - b[n + 16 * B])
+        b[n + 11 * B] = 2.0 / 3.0 * k * overlap - eta * un
+        b[n + 16 * B] = b[n + 10 * B]
+        b[n + 31 * B] = kt
+        b[n + 32 * B] = b[n + 21 * B] * damping * math.sqrt(kt / inverse_mass)
+        b[n + 33 * B] = k
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def tangential(b, m, h):
     """Tangential spring with Coulomb's cap; the spring keeps what really slipped, so sliding never stores energy."""
     for n in range(m):
-        nx, ny, nz, un, fn = b[n], b[n + B], b[n + 2 * B], b[n + 9 * B], b[n + 10 * B]
-        q, kt, et = b[n + 8 * B], b[n + 29 * B], b[n + 30 * B]
-        tx, ty, tz = b[n + 5 * B] - un * nx, b[n + 6 * B] - un * ny, b[n + 7 * B] - un * nz
-        sx, sy, sz = b[n + 11 * B], b[n + 12 * B], b[n + 13 * B]
+        nx, ny, nz, un, fn = b[n], b[n + B], b[n + 2 * B], b[n + 10 * B], b[n + 11 * B]
+        q, kt, et = b[n + 9 * B], b[n + 31 * B], b[n + 32 * B]
+        tx, ty, tz = b[n + 6 * B] - un * nx, b[n + 7 * B] - un * ny, b[n + 8 * B] - un * nz
+        sx, sy, sz = b[n + 13 * B], b[n + 14 * B], b[n + 15 * B]
         sn = sx * nx + sy * ny + sz * nz
         sx, sy, sz = sx - sn * nx + h * tx, sy - sn * ny + h * ty, sz - sn * nz + h * tz
         fx, fy, fz = -kt * sx - et * tx, -kt * sy - et * ty, -kt * sz - et * tz
-        cap = b[n + 17 * B] * b[n + 17 * B] * fn * fn
+        cap = b[n + 19 * B] * b[n + 19 * B] * fn * fn
         size = fx * fx + fy * fy + fz * fz + 1e-300
         stretch = (sx * sx + sy * sy + sz * sz) * kt * kt + 1e-300
         qf = math.sqrt(min(1.0, cap / size))
         qs = math.sqrt(min(1.0, cap / stretch))
         qs = qs if size > cap else 1.0
         fx, fy, fz = qf * fx, qf * fy, qf * fz
-        b[n + 11 * B] = qs * sx
-        b[n + 12 * B] = qs * sy
-        b[n + 13 * B] = qs * sz
-        b[n + 5 * B] = fn * nx + fx
-        b[n + 6 * B] = fn * ny + fy
-        b[n + 7 * B] = fn * nz + fz
-        b[n + 8 * B] = q * (fy * nz - fz * ny)
-        b[n + 9 * B] = q * (fz * nx - fx * nz)
-        b[n + 10 * B] = q * (fx * ny - fy * nx)
+        b[n + 13 * B] = qs * sx
+        b[n + 14 * B] = qs * sy
+        b[n + 15 * B] = qs * sz
+        b[n + 6 * B] = fn * nx + fx
+        b[n + 7 * B] = fn * ny + fy
+        b[n + 8 * B] = fn * nz + fz
+        b[n + 9 * B] = q * (fy * nz - fz * ny)
+        b[n + 10 * B] = q * (fz * nx - fx * nz)
+        b[n + 11 * B] = q * (fx * ny - fy * nx)
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def cohesion(b, m):
     """Attraction by the contact area, F = -c pi overlap (2 R*) (simplified JKR); c in J/m^3. Adds to the normal force."""
     for n in range(m):
-        pull = b[n + 28 * B] * 2.0 * math.pi * b[n + 20 * B] * b[n + 4 * B]
-        b[n + 5 * B] -= pull * b[n]
-        b[n + 6 * B] -= pull * b[n + B]
-        b[n + 7 * B] -= pull * b[n + 2 * B]
+        pull = b[n + 30 * B] * 2.0 * math.pi * b[n + 22 * B] * b[n + 4 * B]
+        b[n + 6 * B] -= pull * b[n]
+        b[n + 7 * B] -= pull * b[n + B]
+        b[n + 8 * B] -= pull * b[n + 2 * B]
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -137,28 +139,28 @@ def rolling(b, m, h, elastic, torsion):
     """
     for n in range(m):
         nx, ny, nz = b[n], b[n + B], b[n + 2 * B]
-        wx, wy, wz = b[n + 21 * B], b[n + 22 * B], b[n + 23 * B]
+        wx, wy, wz = b[n + 23 * B], b[n + 24 * B], b[n + 25 * B]
         wn = (1.0 - torsion) * (wx * nx + wy * ny + wz * nz)
         wx, wy, wz = wx - wn * nx, wy - wn * ny, wz - wn * nz
-        radius = b[n + 20 * B]
-        cap = b[n + 27 * B] * radius * abs(b[n + 5 * B] * nx + b[n + 6 * B] * ny + b[n + 7 * B] * nz)
-        inertia = 0.4 * radius * radius / b[n + 14 * B]
-        stiffness = 2.25 * b[n + 31 * B] * (b[n + 27 * B] * radius) ** 2 if elastic else inertia / (h * h + 1e-300)
+        radius = b[n + 22 * B]
+        cap = b[n + 29 * B] * radius * abs(b[n + 6 * B] * nx + b[n + 7 * B] * ny + b[n + 8 * B] * nz)
+        inertia = 0.4 * radius * radius / b[n + 12 * B]
+        stiffness = 2.25 * b[n + 33 * B] * (b[n + 29 * B] * radius) ** 2 if elastic else inertia / (h * h + 1e-300)
         damping = 0.6 * math.sqrt(inertia * stiffness) if elastic else 0.0
         keep = 1.0 if elastic else 0.0
-        sx, sy, sz = keep * b[n + 24 * B] + h * wx, keep * b[n + 25 * B] + h * wy, keep * b[n + 26 * B] + h * wz
+        sx, sy, sz = keep * b[n + 26 * B] + h * wx, keep * b[n + 27 * B] + h * wy, keep * b[n + 28 * B] + h * wz
         sn = (1.0 - torsion) * (sx * nx + sy * ny + sz * nz)
         sx, sy, sz = sx - sn * nx, sy - sn * ny, sz - sn * nz
         q = min(1.0, cap / (stiffness * math.sqrt(sx * sx + sy * sy + sz * sz) + 1e-300))
         sx, sy, sz = q * sx, q * sy, q * sz
         tx, ty, tz = stiffness * sx + damping * wx, stiffness * sy + damping * wy, stiffness * sz + damping * wz
         q = min(1.0, cap / (math.sqrt(tx * tx + ty * ty + tz * tz) + 1e-300))
-        b[n + 24 * B] = sx
-        b[n + 25 * B] = sy
-        b[n + 26 * B] = sz
-        b[n + 21 * B] = -q * tx
-        b[n + 22 * B] = -q * ty
-        b[n + 23 * B] = -q * tz
+        b[n + 26 * B] = sx
+        b[n + 27 * B] = sy
+        b[n + 28 * B] = sz
+        b[n + 23 * B] = -q * tx
+        b[n + 24 * B] = -q * ty
+        b[n + 25 * B] = -q * tz
 
 
 @njit(cache=True)
@@ -188,8 +190,8 @@ def constant_rows(b, numbers):
 
 @njit(cache=True, inline="always")
 def material_row(b, n, numbers, first, second):
-    """Rows 15-19, 27 and 28 of one contact from the material table."""
+    """Rows 17-21, 29 and 30 of one contact from the material table."""
     for k in range(5):
-        b[n + (15 + k) * B] = numbers.table[first, second, k]
-    b[n + 27 * B] = numbers.table[first, second, 5]
-    b[n + 28 * B] = numbers.table[first, second, 6]
+        b[n + (17 + k) * B] = numbers.table[first, second, k]
+    b[n + 29 * B] = numbers.table[first, second, 5]
+    b[n + 30 * B] = numbers.table[first, second, 6]

@@ -1,71 +1,101 @@
-"""Forces of touching pairs: gather a block of contacts, apply the law, scatter forces and torques."""
+"""Forces of touching pairs: gather a block of contacts, apply the law, scatter forces and torques.
+
+Particles have rows of eight numbers: ``state`` holds radius, velocity, angular velocity and inverse mass over radius; ``force``
+holds the force in 0 to 2 and the torque in 4 to 6 (3 and 7 collect what is of no use). Contacts are treated four at a time; the
+last four of a block are filled up with copies of the last contact, whose forces are zeroed.
+"""
 import numpy as np
 from numba import njit
 
 from fe_el.particles.law_kernels import BLOCK, FAST, apply_law, constant_rows
+from fe_el.particles.rows_of_four import (block_to_rows, difference_to_block, force_from_block, rolled_sum_to_block,
+                                          scaled_to_block, torque_from_block)
 
 B = BLOCK
 
 
+@njit(cache=True, fastmath=FAST, inline="always")
+def four_of(array, k):
+    """Entries of an array, as a tuple of four."""
+    return array[k[0]], array[k[1]], array[k[2]], array[k[3]]
+
+
 @njit(cache=True, fastmath=FAST)
-def gather(b, m, at, first, second, v, w, radius, inverse_mass, material, spring, stamp, step, numbers, uniform):
-    """Fill the rows of a block of m contacts, the pairs ``at`` of the list; returns the largest overlap over radius."""
-    deepest, table, rolls, needs_radius = 0.0, numbers.table, numbers.rolls > 0, numbers.needs_radius
+def gather(b, m, at, first, second, state, spring, stamp, step):
+    """Fill the rows of a block of m contacts (a multiple of four), the pairs ``at`` of the list."""
+    old, width = step - 1, spring.shape[1]
+    for n in range(0, m, 4):
+        k = at[n], at[n + 1], at[n + 2], at[n + 3]
+        i, j, last = four_of(first, k), four_of(second, k), four_of(stamp, k)
+        keep = (1.0 if last[0] == old else 0.0, 1.0 if last[1] == old else 0.0, 1.0 if last[2] == old else 0.0,
+                1.0 if last[3] == old else 0.0)
+        stamp[k[0]] = stamp[k[1]] = stamp[k[2]] = stamp[k[3]] = step
+        difference_to_block(b, n + 5 * B, state, i, j)  # radius and velocity: rows 5 to 8
+        rolled_sum_to_block(b, n + 9 * B, state, i, j)  # r w and inverse mass: rows 9 to 12
+        scaled_to_block(b, n + 13 * B, spring, width, k, keep)  # spring and normal velocity: rows 13 to 16
+        b[n + 34 * B], b[n + 1 + 34 * B] = 0.5 * keep[0], 0.5 * keep[1]
+        b[n + 2 + 34 * B], b[n + 3 + 34 * B] = 0.5 * keep[2], 0.5 * keep[3]
+
+
+@njit(cache=True, fastmath=FAST)
+def gather_rolling(b, m, at, first, second, state, spring):
+    """Difference of the rotations and rolling springs of contacts whose rows 13 to 16 are filled."""
     for n in range(m):
         k = at[n]
-        i, j = first[k], second[k]
-        ri, rj, keep = radius[i], radius[j], 1.0 if stamp[k] == step - 1 else 0.0
-        stamp[k] = step
-        b[n + 5 * B], b[n + 6 * B], b[n + 7 * B] = v[i, 0] - v[j, 0], v[i, 1] - v[j, 1], v[i, 2] - v[j, 2]
-        b[n + 8 * B] = ri * w[i, 0] + rj * w[j, 0]
-        b[n + 9 * B] = ri * w[i, 1] + rj * w[j, 1]
-        b[n + 10 * B] = ri * w[i, 2] + rj * w[j, 2]
-        b[n + 11 * B], b[n + 12 * B], b[n + 13 * B] = keep * spring[k, 0], keep * spring[k, 1], keep * spring[k, 2]
-        b[n + 32 * B], b[n + 33 * B] = spring[k, 3], 0.5 * keep
-        b[n + 14 * B] = inverse_mass[i] + inverse_mass[j]
-        part = 1.0 - b[n + 3 * B] / ((ri + rj) * (ri + rj))  # overlap / (ri + rj) = 1 - sqrt(1 - part), without the root
-        deepest = max(deepest, part * (0.5 + part * (0.125 + 0.0625 * part)) * (ri + rj) / min(ri, rj))
-        if needs_radius:
-            b[n + 20 * B] = ri * rj / (ri + rj)
-        if rolls:
-            for q in range(3):
-                b[n + (21 + q) * B] = w[i, q] - w[j, q]
-                b[n + (24 + q) * B] = keep * spring[k, 4 + q]
-        if not uniform:
-            for q in range(5):
-                b[n + (15 + q) * B] = table[material[i], material[j], q]
-            b[n + 27 * B], b[n + 28 * B] = table[material[i], material[j], 5], table[material[i], material[j], 6]
+        i, j, keep = first[k], second[k], 2.0 * b[n + 34 * B]
+        for q in range(3):
+            b[n + (23 + q) * B] = state[i, 4 + q] - state[j, 4 + q]
+            b[n + (26 + q) * B] = keep * spring[k, 4 + q]
+
+
+@njit(cache=True, fastmath=FAST)
+def gather_material(b, m, at, first, second, material, table):
+    """Rows of the material table, where pairs differ in it."""
+    for n in range(m):
+        one, other = material[first[at[n]]], material[second[at[n]]]
+        for q in range(5):
+            b[n + (17 + q) * B] = table[one, other, q]
+        b[n + 29 * B], b[n + 30 * B] = table[one, other, 5], table[one, other, 6]
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def reduced_radius(b, m):
+    """Row 22 from the sum and the difference of the radii."""
+    for n in range(m):
+        b[n + 22 * B] = 0.25 * (b[n + 4 * B] * b[n + 4 * B] - b[n + 5 * B] * b[n + 5 * B]) / b[n + 4 * B]
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def deepest_overlap(b, m):
+    """Largest overlap over the smaller diameter, of contacts whose law has been applied."""
+    deepest = 0.0
+    for n in range(m):
+        deepest = max(deepest, b[n + 4 * B] / (b[n + 3 * B] + b[n + 4 * B] - abs(b[n + 5 * B])))
     return deepest
 
 
 @njit(cache=True, fastmath=FAST)
-def scatter(b, m, at, first, second, force, torque, radius, spring, rolls):
+def scatter(b, m, at, first, second, state, force, spring):
     """Give both particles of each contact of a block their force and torque, and the pair its springs."""
+    width = spring.shape[1]
+    for n in range(0, m, 4):
+        k = at[n], at[n + 1], at[n + 2], at[n + 3]
+        i, j = four_of(first, k), four_of(second, k)
+        force_from_block(b, n + 6 * B, force, i, j)
+        torque_from_block(b, n + 9 * B, force, state, i, j)
+        block_to_rows(b, n + 13 * B, spring, width, k)
+
+
+@njit(cache=True, fastmath=FAST)
+def scatter_rolling(b, m, at, first, second, force, spring):
+    """Rolling torques and springs."""
     for n in range(m):
         k = at[n]
         i, j = first[k], second[k]
-        ri, rj = radius[i], radius[j]
-        spring[k, 0], spring[k, 1], spring[k, 2] = b[n + 11 * B], b[n + 12 * B], b[n + 13 * B]
-        spring[k, 3] = b[n + 32 * B]
-        gx, gy, gz = b[n + 5 * B], b[n + 6 * B], b[n + 7 * B]
-        force[i, 0] += gx
-        force[i, 1] += gy
-        force[i, 2] += gz
-        force[j, 0] -= gx
-        force[j, 1] -= gy
-        force[j, 2] -= gz
-        cx, cy, cz = b[n + 8 * B], b[n + 9 * B], b[n + 10 * B]
-        torque[i, 0] += ri * cx
-        torque[i, 1] += ri * cy
-        torque[i, 2] += ri * cz
-        torque[j, 0] += rj * cx
-        torque[j, 1] += rj * cy
-        torque[j, 2] += rj * cz
-        if rolls:
-            for q in range(3):
-                spring[k, 4 + q] = b[n + (24 + q) * B]
-                torque[i, q] += b[n + (21 + q) * B]
-                torque[j, q] -= b[n + (21 + q) * B]
+        for q in range(3):
+            spring[k, 4 + q] = b[n + (26 + q) * B]
+            force[i, 4 + q] += b[n + (23 + q) * B]
+            force[j, 4 + q] -= b[n + (23 + q) * B]
 
 
 @njit(cache=True, fastmath=FAST)
@@ -83,23 +113,46 @@ def next_block(b, at, x, radius, first, second, k):
     return m, k
 
 
+@njit(cache=True)
+def fill_up(b, m, at):
+    """Copy the last contact of a block until their number is a multiple of four, and return that."""
+    full = (m + 3) // 4 * 4
+    for n in range(m, full):
+        at[n] = at[m - 1]
+        for row in range(5):
+            b[n + row * B] = b[m - 1 + row * B]
+    return full
+
+
 @njit(cache=True, fastmath=FAST)
-def pair_forces(x, v, w, force, torque, radius, inverse_mass, material, first, second, spring, stamp, step, b, numbers, h):
+def pair_forces(x, state, force, radius, material, first, second, spring, stamp, step, b, numbers, h):
     """Add the contact forces of all pairs; returns the number of touching pairs and the largest overlap over diameter.
 
     ``stamp`` holds the last step at which each pair touched: a spring counts only if that was the step before.
     """
     touching, deepest, k = 0, 0.0, 0
-    at = np.empty(B, np.int64)
+    at = np.empty(B, np.uint64)
     uniform = constant_rows(b, numbers)
     while k < len(first):
         m, k = next_block(b, at, x, radius, first, second, k)
-        deepest = max(deepest, gather(b, m, at, first, second, v, w, radius, inverse_mass, material, spring, stamp, step,
-                                      numbers, uniform))
-        apply_law(b, m, h, numbers)
-        scatter(b, m, at, first, second, force, torque, radius, spring, numbers.rolls > 0)
+        full = fill_up(b, m, at)
+        gather(b, full, at, first, second, state, spring, stamp, step)
+        if numbers.rolls > 0:
+            gather_rolling(b, full, at, first, second, state, spring)
+        if not uniform:
+            gather_material(b, full, at, first, second, material, numbers.table)
+        if numbers.needs_radius:
+            reduced_radius(b, full)
+        apply_law(b, full, h, numbers)
+        deepest = max(deepest, deepest_overlap(b, m))
+        for n in range(m, full):
+            for row in range(6, 12):
+                b[n + row * B] = 0.0
+        scatter(b, full, at, first, second, state, force, spring)
+        if numbers.rolls > 0:
+            scatter_rolling(b, m, at, first, second, force, spring)
         touching += m
-    return touching, 0.5 * deepest
+    return touching, deepest
 
 
 @njit(cache=True)
@@ -117,7 +170,7 @@ def touching_pairs(x, radius, first, second):
 
 
 @njit(cache=True)
-def scatter_arrays(first, second, force_on_first, arm_first, arm_second, normal, force, torque):
+def scatter_arrays(first, second, force_on_first, arm_first, arm_second, normal, force):
     """Give both particles of each contact their force, and the torque of its tangential part at the contact point."""
     for n in range(len(first)):
         i, j = first[n], second[n]
@@ -126,7 +179,7 @@ def scatter_arrays(first, second, force_on_first, arm_first, arm_second, normal,
         c = (gy * nz - gz * ny, gz * nx - gx * nz, gx * ny - gy * nx)
         for k in range(3):
             force[i, k] += force_on_first[n, k]
-            torque[i, k] += arm_first[n] * c[k]
+            force[i, 4 + k] += arm_first[n] * c[k]
             if j >= 0:
                 force[j, k] -= force_on_first[n, k]
-                torque[j, k] += arm_second[n] * c[k]
+                force[j, 4 + k] += arm_second[n] * c[k]

@@ -114,7 +114,7 @@ def shape_list(x, radius, owned, skin, kind, shape, motion):
 
 
 @njit(cache=True, fastmath=FAST)
-def shape_forces(x, v, w, force, torque, radius, inverse_mass, material, particle, wall, spring, stamp, step, kind, shape,
+def shape_forces(x, state, force, radius, inverse_mass, material, particle, wall, spring, stamp, step, kind, shape,
                  motion, wall_material, wall_force, deepest, b, numbers, h):
     """Add the contact forces of planes and cylinders; returns the number of contacts, or -1 - i where i is behind one."""
     touching, m, bad = 0, 0, 0
@@ -127,15 +127,15 @@ def shape_forces(x, v, w, force, torque, radius, inverse_mass, material, particl
             if not distance > 0:
                 bad = -1 - i
             who[m], at[m], wall_of[m] = i, k, n
-            gather_wall(b, m, i, px, py, pz, motion[n], x, v, w, radius, inverse_mass, spring, k,
+            gather_wall(b, m, i, px, py, pz, motion[n], x, state, radius, inverse_mass, spring, k,
                         1.0 if stamp[k] == step - 1 else 0.0, numbers)
             stamp[k] = step
             m += 1
         if m == BLOCK:
-            finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, torque, radius, spring,
+            finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, radius, spring,
                          wall_force, deepest)
             touching, m = touching + m, 0
-    finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, torque, radius, spring,
+    finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, radius, spring,
                  wall_force, deepest)
     return bad if bad < 0 else touching + m
 

@@ -119,28 +119,28 @@ def wall_list(x, radius, cell, skin, cell_start, cell_facet, corner, ball):
 
 
 @njit(cache=True, fastmath=FAST, inline="always")
-def gather_wall(b, m, i, px, py, pz, motion, x, v, w, radius, inverse_mass, spring, at, keep, numbers):
+def gather_wall(b, m, i, px, py, pz, motion, x, state, radius, inverse_mass, spring, at, keep, numbers):
     """Rows of one contact of particle i with the wall point p; ``motion`` is the wall's origin, velocity and rotation."""
     dx, dy, dz = x[i, 0] - px, x[i, 1] - py, x[i, 2] - pz
     b[m], b[m + B], b[m + 2 * B] = dx, dy, dz
     b[m + 3 * B], b[m + 4 * B] = dx * dx + dy * dy + dz * dz, radius[i]
     ox, oy, oz = px - motion[0], py - motion[1], pz - motion[2]
-    b[m + 5 * B] = v[i, 0] - motion[3] - (motion[7] * oz - motion[8] * oy)
-    b[m + 6 * B] = v[i, 1] - motion[4] - (motion[8] * ox - motion[6] * oz)
-    b[m + 7 * B] = v[i, 2] - motion[5] - (motion[6] * oy - motion[7] * ox)
-    b[m + 14 * B], b[m + 20 * B] = inverse_mass[i], radius[i]
-    b[m + 32 * B], b[m + 33 * B] = spring[at, 3], 0.5 * keep
+    b[m + 6 * B] = state[i, 1] - motion[3] - (motion[7] * oz - motion[8] * oy)
+    b[m + 7 * B] = state[i, 2] - motion[4] - (motion[8] * ox - motion[6] * oz)
+    b[m + 8 * B] = state[i, 3] - motion[5] - (motion[6] * oy - motion[7] * ox)
+    b[m + 12 * B], b[m + 22 * B] = inverse_mass[i], radius[i]
+    b[m + 16 * B], b[m + 34 * B] = spring[at, 3], 0.5 * keep
     for k in range(3):
-        b[m + (8 + k) * B] = radius[i] * w[i, k]
-        b[m + (11 + k) * B] = keep * spring[at, k]
+        b[m + (9 + k) * B] = radius[i] * state[i, 4 + k]
+        b[m + (13 + k) * B] = keep * spring[at, k]
     if numbers.rolls > 0:
         for k in range(3):
-            b[m + (21 + k) * B] = w[i, k] - motion[6 + k]
-            b[m + (24 + k) * B] = keep * spring[at, 4 + k]
+            b[m + (23 + k) * B] = state[i, 4 + k] - motion[6 + k]
+            b[m + (26 + k) * B] = keep * spring[at, 4 + k]
 
 
 @njit(cache=True, fastmath=FAST)
-def finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, torque, radius, spring,
+def finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, radius, spring,
                  wall_force, deepest):
     """Apply the law to a block of wall contacts and give particles and walls their forces."""
     if not uniform:
@@ -151,19 +151,19 @@ def finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_mat
         i, k = who[n], at[n]
         deepest[0] = max(deepest[0], 0.5 * b[n + 4 * B] / radius[i])
         for q in range(3):
-            spring[k, q] = b[n + (11 + q) * B]
-            force[i, q] += b[n + (5 + q) * B]
-            wall_force[wall_of[n], q] -= b[n + (5 + q) * B]
-            torque[i, q] += radius[i] * b[n + (8 + q) * B]
-        spring[k, 3] = b[n + 32 * B]
+            spring[k, q] = b[n + (13 + q) * B]
+            force[i, q] += b[n + (6 + q) * B]
+            wall_force[wall_of[n], q] -= b[n + (6 + q) * B]
+            force[i, 4 + q] += radius[i] * b[n + (9 + q) * B]
+        spring[k, 3] = b[n + 16 * B]
         if numbers.rolls > 0:
             for q in range(3):
-                spring[k, 4 + q] = b[n + (24 + q) * B]
-                torque[i, q] += b[n + (21 + q) * B]
+                spring[k, 4 + q] = b[n + (26 + q) * B]
+                force[i, 4 + q] += b[n + (23 + q) * B]
 
 
 @njit(cache=True, fastmath=FAST)
-def facet_forces(x, v, w, force, torque, radius, inverse_mass, material, particle, facet, spring, stamp, step, corner, vertex,
+def facet_forces(x, state, force, radius, inverse_mass, material, particle, facet, spring, stamp, step, corner, vertex,
                  facet_wall, motion, wall_material, wall_force, deepest, b, numbers, h):
     """Add the contact forces of wall facets; returns the number of contacts, or -1 - i where the centre of i is on a wall."""
     touching, sides, m, k, total, bad = 0, corner.shape[1], 0, 0, len(particle), 0
@@ -195,17 +195,17 @@ def facet_forces(x, v, w, force, torque, radius, inverse_mass, material, particl
             if contact[n]:
                 s = slot[n]
                 who[m], at[m], wall_of[m] = i, s, facet_wall[facet[s]]
-                gather_wall(b, m, i, point[n, 0], point[n, 1], point[n, 2], motion[wall_of[m]], x, v, w, radius,
+                gather_wall(b, m, i, point[n, 0], point[n, 1], point[n, 2], motion[wall_of[m]], x, state, radius,
                             inverse_mass, spring, s, 1.0 if stamp[s] == step - 1 else 0.0, numbers)
                 if not b[m + 3 * B] > 0:
                     bad = -1 - i
                 stamp[s] = step
                 m += 1
         if m >= B - MOST:
-            finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, torque, radius, spring,
+            finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, radius, spring,
                          wall_force, deepest)
             touching, m = touching + m, 0
-    finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, torque, radius, spring,
+    finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, radius, spring,
                  wall_force, deepest)
     return bad if bad < 0 else touching + m
 
