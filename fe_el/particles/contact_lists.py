@@ -6,6 +6,7 @@ from fe_el.exchange import largest_of, move
 from fe_el.particles import neighbours
 from fe_el.particles import walls as _walls
 from fe_el.particles.ghosts import Ghosts
+from fe_el.particles.law_kernels import aligned
 from fe_el.particles.wall_shapes import FACETS, shape_list
 
 SORT_EVERY = 8  # rebuilds
@@ -46,13 +47,11 @@ class ContactLists:
         return float((np.linalg.norm(moving[:, 3:6], axis=1) + np.linalg.norm(moving[:, 6:], axis=1) * size).max())
 
     def pack(self):
-        """Positions, and rows of state and of forces (zero), of owned and ghost particles."""
+        """Positions, and rows of state and of forces (zero), of owned and ghost particles; the same memory until renewed."""
         p, n = self.particles, self.ghosts.owned
-        x, state = np.empty((len(self.radius), 3)), np.empty((len(self.radius), 8))
-        x[:n], state[:n, 1:4], state[:n, 4:7] = p.position, p.velocity, p.angular_velocity
-        state[:, 0], state[:, 7] = self.radius, self.inverse_mass / self.radius
-        self.ghosts.forward_state(x, state)
-        return x, state, np.zeros_like(state)
+        self.x[:n], self.state[:n, 1:4], self.state[:n, 4:7], self.force[:] = p.position, p.velocity, p.angular_velocity, 0.0
+        self.ghosts.forward_state(self.x, self.state)
+        return self.x, self.state, self.force
 
     # -- renewal -------------------------------------------------------------------------------------------------------
 
@@ -75,6 +74,8 @@ class ContactLists:
         self.ghosts = Ghosts(comm, p.position, largest + self.skin, p.period)
         self.radius, self.inverse_mass = self.ghosts.grow(p.diameter / 2), self.ghosts.grow(1 / p.mass)
         self.ids, self.material = self.ghosts.grow(p.id), self.ghosts.grow(p.material)
+        self.x, (self.state, self.force) = np.empty((len(self.radius), 3)), (aligned(len(self.radius), 8) for _ in range(2))
+        self.state[:, 0], self.state[:, 7] = self.radius, self.inverse_mass / self.radius
         self._lists(kept, step)
         self.x0, self.age = p.position.copy(), 0
         self.rebuilds += 1
@@ -173,7 +174,7 @@ class ContactLists:
             self.shape_particle, self.shape_wall = shape_list(x, self.radius, n, self.skin, self.kind, self.shape, self.motion)
         self.springs, self.stamps = [], []
         for (first, partner), old in zip(self._partners(), kept):
-            spring, live = np.zeros((len(first), self.width)), np.zeros(len(first), np.bool_)
+            spring, live = aligned(len(first), self.width), np.zeros(len(first), np.bool_)
             neighbours.restore_springs(first, partner, n, *old, spring, live)
             self.springs.append(spring)
             self.stamps.append(np.where(live, step, -2).astype(np.int32))

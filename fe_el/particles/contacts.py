@@ -200,7 +200,7 @@ class Contacts:
         if isinstance(self.law, ArrayLaw):
             touching, overlap = array_forces(self.law, *rows, lists.inverse_mass, *pairs, self.step, h)
         else:
-            touching, overlap = pair_forces(*rows, material, *pairs, self.step, self.block, self.law.numbers, h)
+            touching, overlap = pair_forces(*rows, material, *pairs, self.step, self.block, self.law.numbers, h, self.largest_overlap)
         self.touching = touching + self.touching_walls
         self.largest_overlap = max(self.largest_overlap, overlap)
 

@@ -30,9 +30,18 @@ FAST = {"contract", "reassoc", "nsz", "arcp"}  # no finite-math assumption: NaN 
 B = BLOCK
 
 
+def aligned(rows, width):
+    """Zeros (rows, width) that start at a line of the cache."""
+    memory = np.zeros(rows * width + 7)
+    start = -(memory.ctypes.data // 8) % 8
+    return memory[start:start + rows * width].reshape(rows, width)
+
+
 def new_block():
     """An empty block."""
-    return np.ones(ROWS * BLOCK)
+    block = aligned(ROWS, BLOCK)
+    block[:] = 1.0
+    return block.ravel()
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

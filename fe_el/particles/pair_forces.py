@@ -8,8 +8,14 @@ import numpy as np
 from numba import njit
 
 from fe_el.particles.law_kernels import BLOCK, FAST, apply_law, constant_rows
-from fe_el.particles.rows_of_four import (block_to_rows, difference_to_block, force_from_block, rolled_sum_to_block,
-                                          scaled_to_block, torque_from_block)
+from fe_el.particles.rows_of_four import (
+    block_to_rows,
+    difference_to_block,
+    force_from_block,
+    rolled_sum_to_block,
+    scaled_to_block,
+    torque_from_block,
+)
 
 B = BLOCK
 
@@ -65,12 +71,15 @@ def reduced_radius(b, m):
         b[n + 22 * B] = 0.25 * (b[n + 4 * B] * b[n + 4 * B] - b[n + 5 * B] * b[n + 5 * B]) / b[n + 4 * B]
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
-def deepest_overlap(b, m):
-    """Largest overlap over the smaller diameter, of contacts whose law has been applied."""
-    deepest = 0.0
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def deepest_overlap(b, m, deepest):
+    """The larger of ``deepest`` and the overlaps over the smaller diameter, of contacts whose law has been applied."""
+    deeper = False
     for n in range(m):
-        deepest = max(deepest, b[n + 4 * B] / (b[n + 3 * B] + b[n + 4 * B] - abs(b[n + 5 * B])))
+        deeper |= b[n + 4 * B] > deepest * (b[n + 3 * B] + b[n + 4 * B] - abs(b[n + 5 * B]))
+    if deeper:
+        for n in range(m):
+            deepest = max(deepest, b[n + 4 * B] / (b[n + 3 * B] + b[n + 4 * B] - abs(b[n + 5 * B])))
     return deepest
 
 
@@ -125,12 +134,12 @@ def fill_up(b, m, at):
 
 
 @njit(cache=True, fastmath=FAST)
-def pair_forces(x, state, force, radius, material, first, second, spring, stamp, step, b, numbers, h):
-    """Add the contact forces of all pairs; returns the number of touching pairs and the largest overlap over diameter.
+def pair_forces(x, state, force, radius, material, first, second, spring, stamp, step, b, numbers, h, deepest):
+    """Add the contact forces of all pairs; returns their number and the larger of ``deepest`` and the overlaps over diameter.
 
     ``stamp`` holds the last step at which each pair touched: a spring counts only if that was the step before.
     """
-    touching, deepest, k = 0, 0.0, 0
+    touching, k = 0, 0
     at = np.empty(B, np.uint64)
     uniform = constant_rows(b, numbers)
     while k < len(first):
@@ -144,7 +153,7 @@ def pair_forces(x, state, force, radius, material, first, second, spring, stamp,
         if numbers.needs_radius:
             reduced_radius(b, full)
         apply_law(b, full, h, numbers)
-        deepest = max(deepest, deepest_overlap(b, m))
+        deepest = deepest_overlap(b, m, deepest)
         for n in range(m, full):
             for row in range(6, 12):
                 b[n + row * B] = 0.0
