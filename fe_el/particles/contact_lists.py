@@ -27,11 +27,12 @@ class ContactLists:
         self.skin, self.age, self.rebuilds, self._reach, self._cells = skin, 0, 0, -1.0, None
         parts = [(_mesh.boundary_facets(particles.mesh, w.facet_tags, w.groups), k) for k, w in enumerate(walls)
                  if w.kind == FACETS]
-        self.facets = None
+        self.facets, self.facet_rows = None, (np.zeros((0, 3, 3)), np.zeros((0, 3), np.uint32), np.zeros(0, np.uint32))
         if parts:
             self.facets = tuple(np.concatenate([f[i] for f, _ in parts]) for i in range(3))
             self.balls = _walls.facet_balls(self.facets[0])
-            self.facet_wall = np.concatenate([np.full(len(f[2]), k, np.int64) for f, k in parts])
+            wall = np.concatenate([np.full(len(f[2]), k, np.uint32) for f, k in parts])
+            self.facet_rows = (self.facets[0], self.facets[1].astype(np.uint32), wall)
         self.kind = np.array([w.kind for w in walls] or [FACETS], np.int64)
         self.shape = np.array([getattr(w, "shape", np.zeros(4)) for w in walls] or [np.zeros(4)])
         self.motion = np.array([w.motion() for w in walls] or [np.zeros(9)])
@@ -123,7 +124,7 @@ class ContactLists:
         if self.springs is None:
             kept, self.restored = self.restored or [none] * 3, None  # of a checkpoint
             return kept
-        n, out, empty = self.ghosts.owned, [], np.zeros(0, np.int32)
+        n, out, empty = self.ghosts.owned, [], np.zeros(0, np.uint32)
         for k, (first, partner) in enumerate(self._partners()):
             out.append(neighbours.collect_springs(first, partner, self.springs[k], self.stamps[k] == step, k == 0,
                                                   self.second if k == 0 else empty, n, self.ids))
@@ -165,13 +166,16 @@ class ContactLists:
         x[n:] += self.ghosts.shift
         pairs = neighbours.neighbour_pairs(x, self.radius, n, self.skin)
         self.first, self.second = (a.view(np.uint32) for a in pairs)  # without a sign no index is checked for being negative
-        empty = np.zeros(0, np.int32)
+        self.gap = neighbours.gaps(x, self.radius, self.first, self.second)
+        self.listed, self.near = np.empty(len(self.gap) + 1, np.uint32), (0.0, -1)  # pairs that may touch: see update_near
+        empty = np.zeros(0, np.uint32)
         self.wall_particle = self.wall_facet = self.shape_particle = self.shape_wall = empty
         if self.facets is not None:
-            self.wall_particle, self.wall_facet = _walls.wall_list(x, self.radius, p.cell, self.skin, *self._candidates,
-                                                                   self.facets[0], self.balls)
+            near = _walls.wall_list(x, self.radius, p.cell, self.skin, *self._candidates, self.facets[0], self.balls)
+            self.wall_particle, self.wall_facet = (a.view(np.uint32) for a in near)
         if self.has_shapes:
-            self.shape_particle, self.shape_wall = shape_list(x, self.radius, n, self.skin, self.kind, self.shape, self.motion)
+            near = shape_list(x, self.radius, n, self.skin, self.kind, self.shape, self.motion)
+            self.shape_particle, self.shape_wall = (a.view(np.uint32) for a in near)
         self.springs, self.stamps = [], []
         for (first, partner), old in zip(self._partners(), kept):
             spring, live = aligned(len(first), self.width), np.zeros(len(first), np.bool_)

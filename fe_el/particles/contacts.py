@@ -12,8 +12,8 @@ from fe_el.particles.array_law import ArrayLaw, array_forces
 from fe_el.particles.law_kernels import new_block
 from fe_el.particles.pair_forces import pair_forces
 from fe_el.particles.particles import LostParticle
-from fe_el.particles.wall_shapes import FacetWalls, move_walls, shape_forces
-from fe_el.particles.walls import facet_forces
+from fe_el.particles.sub_steps import sub_steps, update_near, wall_forces
+from fe_el.particles.wall_shapes import FacetWalls, move_walls
 
 
 class Contacts:
@@ -144,37 +144,56 @@ class Contacts:
         """Sub-steps until the neighbour list is out of date (``stale``), at most ``most``; returns how many."""
         p, n, lists = self.particles, len(self.particles), self.lists
         x, state, force = lists.pack()
-        mass = p.mass
-        external = mass[:, None] * p.gravity + p.force
+        external = p.mass[:, None] * p.gravity + p.force
         force[:n, :3], force[:n, 4:7] = external + p.contact_force, p.contact_torque
-        inverse_inertia = 10.0 / (mass * p.diameter ** 2)
-        part, steps, wall_speed = 0.5, 0, lists.wall_speed()
+        drift = external, 10.0 / (p.mass * p.diameter ** 2), lists.x0
+        alone = p.comm.size == 1 and not isinstance(self.law, ArrayLaw)
+        steps = self._compiled_steps(h, most, drift) if alone else self._steps(h, most, drift)
+        self._check_behind()
+        self._check_finite(x[:n], force[:n, :3])
+        motion.kick(state, force, lists.inverse_mass, drift[1], 0.5 * h, n)
+        p.position, p.velocity, p.angular_velocity = x[:n].copy(), state[:n, 1:4].copy(), state[:n, 4:7].copy()
+        p.contact_force, p.contact_torque = force[:n, :3] - external, force[:n, 4:7].copy()
+        return steps
+
+    def _steps(self, h, most, drift):
+        """Sub-steps with any law and number of ranks."""
+        lists, comm, part, steps, wall_speed = self.lists, self.particles.comm, 0.5, 0, self.lists.wall_speed()
+        x, state, force = lists.x, lists.state, lists.force
+        external, inverse_inertia, x0 = drift
         self.stale = False
         while steps < most and not self.stale:
-            moved = motion.kick_and_drift(x, state, force, external, lists.inverse_mass, inverse_inertia, lists.x0, part, h, n)
+            moved = motion.kick_and_drift(x, state, force, external, lists.inverse_mass, inverse_inertia, x0, part, h, len(x0))
             part, steps = 1.0, steps + 1
             if lists.ghosts.busy:
                 lists.ghosts.forward_state(x, state)
-                force[n:] = 0.0
+                force[len(x0):] = 0.0
             if lists.has_shapes:
                 move_walls(lists.kind, lists.shape, lists.motion, h)
-            self._forces(x, state, force, h)
+            if comm.size > 1:
+                moved = comm.allreduce(moved, op=MPI.MAX)
+            self._forces(h, moved)
             lists.age += 1
-            if p.comm.size > 1:
-                moved = p.comm.allreduce(moved, op=MPI.MAX)
             self.stale = not math.sqrt(moved) + wall_speed * h * lists.age <= 0.5 * lists.skin
-        self._check_behind()
-        self._check_finite(x[:n], force[:n, :3])
-        motion.kick(state, force, lists.inverse_mass, inverse_inertia, 0.5 * h, n)
-        p.position, p.velocity, p.angular_velocity = x[:n].copy(), state[:n, 1:4].copy(), state[:n, 4:7].copy()
-        p.contact_force, p.contact_torque = force[:n, :3] - external, force[:n, 4:7].copy()
+        return steps
+
+    def _compiled_steps(self, h, most, drift):
+        """The same in one call, on one rank and with a built-in law."""
+        lists, numbers = self.lists, getattr(self.wall_law, "numbers", self.law.numbers)
+        pairs = (lists.first, lists.second, lists.springs[0], lists.stamps[0])
+        steps, touching, walls, behind, self.largest_overlap, *lists.near, self.stale = sub_steps(
+            most, h, 0.5, self.step, lists.age, lists.skin, lists.wall_speed(), self._rows(), drift, lists.ghosts.images, pairs,
+            (lists.gap, lists.listed, *lists.near), *self._wall_rows(), self.block, (self.law.numbers, numbers),
+            self.largest_overlap)
+        self.step, lists.age, self.touching = self.step + steps, lists.age + steps, touching + walls
+        self.behind = behind if behind >= 0 else None
         return steps
 
     def _first_forces(self):
         """Contact forces of particles that came from outside: the first half kick needs them."""
         p, n = self.particles, len(self.particles)
         x, state, force = self.lists.pack()
-        self._forces(x, state, force, 0.0)
+        self._forces(0.0, 0.0)
         self._check_finite(x[:n], force[:n, :3])
         p.contact_force, p.contact_torque = force[:n, :3].copy(), force[:n, 4:7].copy()
 
@@ -189,37 +208,37 @@ class Contacts:
                        "law: insert without overlap, or use more steps_per_contact.")
         raise_everywhere(p.comm, FloatingPointError, message)
 
-    def _forces(self, x, state, force, h):
-        """Wall and pair forces at one instant, added to the rows of ``force``."""
-        lists, material = self.lists, self.lists.material
-        self.step += 1
-        rows = (x, state, force, lists.radius)
+    def _rows(self):
+        lists = self.lists
+        return lists.x, lists.state, lists.force, lists.radius, lists.inverse_mass, lists.material
+
+    def _wall_rows(self):
+        """What the kernels need of facets, of planes and cylinders, and of all walls."""
+        lists = self.lists
+        facets = (lists.wall_particle, lists.wall_facet, lists.springs[1], lists.stamps[1], *lists.facet_rows)
+        shapes = (lists.shape_particle, lists.shape_wall, lists.springs[2], lists.stamps[2], lists.kind, lists.shape)
+        return facets, shapes, (lists.motion, lists.wall_material, self.wall_impulse, np.array([self.largest_overlap]))
+
+    def _forces(self, h, moved):
+        """Wall and pair forces at one instant, when particles have moved by up to ``sqrt(moved)`` since the lists were made."""
+        lists = self.lists
+        x, state, force, radius, inverse_mass, material = rows = self._rows()
+        self.step, touching_walls = self.step + 1, 0
         if self.walls:
-            self._wall_forces((*rows, lists.inverse_mass, material), h)
-        pairs = (lists.first, lists.second, lists.springs[0], lists.stamps[0])
+            facets, shapes, walls = self._wall_rows()
+            touching_walls, behind = wall_forces(rows, facets, shapes, walls, self.step, self.block, self.wall_law.numbers, h)
+            self.behind = behind if behind >= 0 else self.behind
+            self.largest_overlap = walls[3][0]
+        pairs = (lists.first, lists.second, lists.springs[0], lists.stamps[0], self.step)
         if isinstance(self.law, ArrayLaw):
-            touching, overlap = array_forces(self.law, *rows, lists.inverse_mass, *pairs, self.step, h)
+            touching, overlap = array_forces(self.law, x, state, force, radius, inverse_mass, *pairs, h)
         else:
-            touching, overlap = pair_forces(*rows, material, *pairs, self.step, self.block, self.law.numbers, h, self.largest_overlap)
-        self.touching = touching + self.touching_walls
+            lists.near = update_near(lists.gap, lists.near[0], moved, lists.skin, lists.listed, lists.near[1])
+            near = lists.listed[:lists.near[1]]
+            touching, overlap = pair_forces(x, state, force, radius, material, near, *pairs, self.block, self.law.numbers, h,
+                                            self.largest_overlap)
+        self.touching = touching + touching_walls
         self.largest_overlap = max(self.largest_overlap, overlap)
-
-    def _wall_forces(self, particles, h):
-        """Forces of facets, planes and cylinders."""
-        lists, deepest, self.touching_walls = self.lists, np.zeros(1), 0
-        common = (lists.motion, lists.wall_material, self.wall_impulse, deepest, self.block, self.wall_law.numbers, h)
-        if lists.facets is not None:
-            self._count(facet_forces(*particles, lists.wall_particle, lists.wall_facet, lists.springs[1], lists.stamps[1],
-                                     self.step, lists.facets[0], lists.facets[1], lists.facet_wall, *common))
-        if lists.has_shapes:
-            self._count(shape_forces(*particles, lists.shape_particle, lists.shape_wall, lists.springs[2], lists.stamps[2],
-                                     self.step, lists.kind, lists.shape, *common))
-        self.largest_overlap = max(self.largest_overlap, deepest[0])
-
-    def _count(self, contacts):
-        self.touching_walls += max(contacts, 0)
-        if contacts < 0:
-            self.behind = -1 - contacts
 
     def _check_behind(self):
         """Stop if a particle's centre came onto or behind a wall in the last sub-steps."""

@@ -61,6 +61,7 @@ class Ghosts:
         self.busy = self.number > 0 or any(len(rows) for rows in self.send)
         ends = n + np.cumsum(self.counts)
         self.receive = [slice(e - c, e) for e, c in zip(ends, self.counts)]
+        self.images = (self.send[comm.rank], self.shift) if comm.size == 1 else None
         self.buffers = [(np.empty((len(rows), 9)), np.empty((c, 9))) for rows, c in zip(self.send, self.counts)]
 
     def grow(self, array):

@@ -105,6 +105,17 @@ def neighbour_pairs(x, radius, owned, skin):
 
 
 @njit(cache=True)
+def gaps(x, radius, first, second):
+    """Distance of the surfaces of each pair, negative in contact."""
+    gap = np.empty(len(first))
+    for k in range(len(first)):
+        i, j = first[k], second[k]
+        dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+        gap[k] = np.sqrt(dx * dx + dy * dy + dz * dz) - radius[i] - radius[j]
+    return gap
+
+
+@njit(cache=True)
 def collect_springs(first, partner_id, spring, live, mirror, second, owned, ids):
     """Springs of the live contacts: (particle, partner's id, spring), for both partners where ``mirror`` is set."""
     number = 0

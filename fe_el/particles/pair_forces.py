@@ -108,18 +108,19 @@ def scatter_rolling(b, m, at, first, second, force, spring):
 
 
 @njit(cache=True, fastmath=FAST)
-def next_block(b, at, x, radius, first, second, k):
-    """Distances of the touching pairs from pair ``k`` on, as far as the block holds: (their number, where it stopped)."""
-    m = 0
-    while k < len(first) and m < B:
+def next_block(b, at, x, radius, near, first, second, start):
+    """Distances of the touching pairs of ``near`` from its entry ``start`` on: (their number, where the block was full)."""
+    m, n = 0, start
+    while n < len(near) and m < B:
+        k = near[n]
         i, j = first[k], second[k]
         dx, dy, dz = x[i, 0] - x[j, 0], x[i, 1] - x[j, 1], x[i, 2] - x[j, 2]
         r2, reach = dx * dx + dy * dy + dz * dz, radius[i] + radius[j]
         b[m], b[m + B], b[m + 2 * B], b[m + 3 * B], b[m + 4 * B] = dx, dy, dz, r2, reach
         at[m] = k
         m += r2 < reach * reach
-        k += 1
-    return m, k
+        n += 1
+    return m, n
 
 
 @njit(cache=True)
@@ -134,16 +135,16 @@ def fill_up(b, m, at):
 
 
 @njit(cache=True, fastmath=FAST)
-def pair_forces(x, state, force, radius, material, first, second, spring, stamp, step, b, numbers, h, deepest):
-    """Add the contact forces of all pairs; returns their number and the larger of ``deepest`` and the overlaps over diameter.
+def pair_forces(x, state, force, radius, material, near, first, second, spring, stamp, step, b, numbers, h, deepest):
+    """Add the contact forces of the pairs ``near`` of the list; returns their number and the larger of ``deepest`` and the overlaps over diameter.
 
     ``stamp`` holds the last step at which each pair touched: a spring counts only if that was the step before.
     """
-    touching, k = 0, 0
+    touching, n = 0, 0
     at = np.empty(B, np.uint64)
     uniform = constant_rows(b, numbers)
-    while k < len(first):
-        m, k = next_block(b, at, x, radius, first, second, k)
+    while n < len(near):
+        m, n = next_block(b, at, x, radius, near, first, second, n)
         full = fill_up(b, m, at)
         gather(b, full, at, first, second, state, spring, stamp, step)
         if numbers.rolls > 0:
@@ -154,9 +155,9 @@ def pair_forces(x, state, force, radius, material, first, second, spring, stamp,
             reduced_radius(b, full)
         apply_law(b, full, h, numbers)
         deepest = deepest_overlap(b, m, deepest)
-        for n in range(m, full):
+        for c in range(m, full):
             for row in range(6, 12):
-                b[n + row * B] = 0.0
+                b[c + row * B] = 0.0
         scatter(b, full, at, first, second, state, force, spring)
         if numbers.rolls > 0:
             scatter_rolling(b, m, at, first, second, force, spring)

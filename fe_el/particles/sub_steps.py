@@ -1,0 +1,84 @@
+"""Sub-steps of contacts: one for any laws and ranks, and many at once in compiled code where nothing else has a say."""
+import math
+
+import numpy as np
+from numba import njit
+
+from fe_el.particles.law_kernels import FAST
+from fe_el.particles.motion import kick_and_drift
+from fe_el.particles.pair_forces import pair_forces
+from fe_el.particles.wall_shapes import move_walls, shape_forces
+from fe_el.particles.walls import facet_forces
+
+
+@njit(cache=True)
+def prune(gap, reach, near):
+    """List the pairs whose gap was less than ``reach`` when the lists were made; returns their number."""
+    number = 0
+    for k in range(len(gap)):
+        near[number] = k  # one entry longer than the gaps
+        number += gap[k] < reach
+    return number
+
+
+@njit(cache=True)
+def update_near(gap, reach, moved, skin, near, number):
+    """Widen the list of pairs that may touch as the particles have moved by up to ``sqrt(moved)``: (reach, number)."""
+    need = 2 * math.sqrt(moved)
+    if need >= reach or number < 0:
+        reach = min(max(2 * need, skin / 16), skin)
+        number = prune(gap, reach, near)
+    return reach, number
+
+
+@njit(cache=True, fastmath=FAST)
+def _images(rows, shift, owned, x, state):
+    """Set the periodic images to their particles' positions and velocities."""
+    for n in range(len(rows)):
+        i, j = rows[n], owned + n
+        for k in range(3):
+            x[j, k] = x[i, k] + shift[n, k]
+        for k in range(1, 7):
+            state[j, k] = state[i, k]
+
+
+@njit(cache=True)
+def wall_forces(particles, facets, shapes, walls, step, block, numbers, h):
+    """Forces of facets, planes and cylinders: (contacts, particle that came onto or behind a wall or -1)."""
+    touching, behind = 0, -1
+    if len(facets[0]):
+        n = facet_forces(*particles, *facets[:4], step, *facets[4:], *walls, block, numbers, h)
+        touching, behind = max(n, 0), max(-1 - n, behind)
+    if len(shapes[0]):
+        n = shape_forces(*particles, *shapes[:4], step, *shapes[4:], *walls, block, numbers, h)
+        touching, behind = touching + max(n, 0), max(-1 - n, behind)
+    return touching, behind
+
+
+@njit(cache=True)
+def sub_steps(most, h, part, step, age, skin, wall_speed, particles, drift, images, pairs, near, facets, shapes, walls, block,
+              laws, deepest):
+    """Sub-steps of one rank with built-in laws, at most ``most``, until the lists are out of date.
+
+    Returns:
+        sub-steps made, touching pairs and walls in the last, a particle behind a wall or -1, largest overlap over diameter so
+        far, what :func:`update_near` returns, and whether the lists are out of date.
+    """
+    x, state, force, radius, inverse_mass, material = particles
+    external, inverse_inertia, x0 = drift
+    gap, listed, reach, number = near
+    first, second, spring, stamp = pairs
+    owned, made, touching, touching_walls, behind, stale = len(x0), 0, 0, 0, -1, False
+    while made < most and not stale:
+        moved = kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0, part, h, owned)
+        part, made = 1.0, made + 1
+        _images(images[0], images[1], owned, x, state)
+        force[owned:] = 0.0
+        move_walls(shapes[4], shapes[5], walls[0], h)
+        reach, number = update_near(gap, reach, moved, skin, listed, number)
+        touching_walls, back = wall_forces(particles, facets, shapes, walls, step + made, block, laws[1], h)
+        behind = max(behind, back)
+        touching, deepest = pair_forces(x, state, force, radius, material, listed[:number], first, second, spring, stamp,
+                                        step + made, block, laws[0], h, deepest)
+        stale = not math.sqrt(moved) + wall_speed * h * (age + made) <= 0.5 * skin
+    return made, touching, touching_walls, behind, max(deepest, walls[3][0]), reach, number, stale
