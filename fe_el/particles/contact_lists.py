@@ -3,7 +3,7 @@ import numpy as np
 
 from fe_el import mesh as _mesh
 from fe_el.exchange import largest_of, move
-from fe_el.particles import neighbours
+from fe_el.particles import motion, neighbours
 from fe_el.particles import walls as _walls
 from fe_el.particles.ghosts import Ghosts
 from fe_el.particles.law_kernels import aligned
@@ -47,10 +47,11 @@ class ContactLists:
         size = np.ptp(self.particles.position, 0).max(initial=0.0) if len(self.particles) else 0.0
         return float((np.linalg.norm(moving[:, 3:6], axis=1) + np.linalg.norm(moving[:, 6:], axis=1) * size).max())
 
-    def pack(self):
-        """Positions, and rows of state and of forces (zero), of owned and ghost particles; the same memory until renewed."""
-        p, n = self.particles, self.ghosts.owned
-        self.x[:n], self.state[:n, 1:4], self.state[:n, 4:7], self.force[:] = p.position, p.velocity, p.angular_velocity, 0.0
+    def pack(self, external):
+        """Positions, and rows of state and of forces, of owned and ghost particles; the same memory until renewed."""
+        p = self.particles
+        motion.pack(p.position, p.velocity, p.angular_velocity, external, p.contact_force, p.contact_torque, self.x, self.state,
+                    self.force)
         self.ghosts.forward_state(self.x, self.state)
         return self.x, self.state, self.force
 

@@ -143,14 +143,13 @@ class Contacts:
     def _run(self, h, most):
         """Sub-steps until the neighbour list is out of date (``stale``), at most ``most``; returns how many."""
         p, n, lists = self.particles, len(self.particles), self.lists
-        x, state, force = lists.pack()
         external = p.mass[:, None] * p.gravity + p.force
-        force[:n, :3], force[:n, 4:7] = external + p.contact_force, p.contact_torque
+        x, state, force = lists.pack(external)
         drift = external, 10.0 / (p.mass * p.diameter ** 2), lists.x0
         alone = p.comm.size == 1 and not isinstance(self.law, ArrayLaw)
         steps = self._compiled_steps(h, most, drift) if alone else self._steps(h, most, drift)
         self._check_behind()
-        self._check_finite(x[:n], force[:n, :3])
+        self._check_finite(x[:n], force)
         motion.kick(state, force, lists.inverse_mass, drift[1], 0.5 * h, n)
         p.position, p.velocity, p.angular_velocity = x[:n].copy(), state[:n, 1:4].copy(), state[:n, 4:7].copy()
         p.contact_force, p.contact_torque = force[:n, :3] - external, force[:n, 4:7].copy()
@@ -192,18 +191,17 @@ class Contacts:
     def _first_forces(self):
         """Contact forces of particles that came from outside: the first half kick needs them."""
         p, n = self.particles, len(self.particles)
-        x, state, force = self.lists.pack()
+        p.contact_force, p.contact_torque = np.zeros((n, 3)), np.zeros((n, 3))
+        x, _, force = self.lists.pack(p.contact_force)
         self._forces(0.0, 0.0)
-        self._check_finite(x[:n], force[:n, :3])
+        self._check_finite(x[:n], force)
         p.contact_force, p.contact_torque = force[:n, :3].copy(), force[:n, 4:7].copy()
 
     def _check_finite(self, x, force):
         """Stop before a position or force that is not a number spreads."""
-        bad = np.flatnonzero(~np.isfinite(x + force).all(1))
-        p, message = self.particles, None
-        if len(bad):
-            i = bad[0]
-            message = (f"The contact force on particle {p.id[i]} near {p.position[i].tolist()} is {force[i].tolist()} (step "
+        i, p, message = motion.first_not_finite(x, force), self.particles, None
+        if i >= 0:
+            message = (f"The contact force on particle {p.id[i]} near {p.position[i].tolist()} is {force[i, :3].tolist()} (step "
                        f"{p.step}, rank {p.comm.rank}). Either two particles lie on one point, or the step is too large for the "
                        "law: insert without overlap, or use more steps_per_contact.")
         raise_everywhere(p.comm, FloatingPointError, message)

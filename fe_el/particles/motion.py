@@ -1,4 +1,5 @@
 """Kicks and drifts of a sub-step, on the rows of :mod:`fe_el.particles.pair_forces`."""
+import numpy as np
 from numba import njit
 
 from fe_el.particles.law_kernels import FAST
@@ -32,6 +33,26 @@ def kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0,
         if not s <= largest:
             largest = s
     return largest
+
+
+@njit(cache=True)
+def pack(position, velocity, angular_velocity, external, contact_force, contact_torque, x, state, force):
+    """Fill the rows of the owned particles, and clear the forces of the ghosts."""
+    for i in range(len(position)):
+        for k in range(3):
+            x[i, k], state[i, 1 + k], state[i, 4 + k] = position[i, k], velocity[i, k], angular_velocity[i, k]
+            force[i, k], force[i, 4 + k] = external[i, k] + contact_force[i, k], contact_torque[i, k]
+        force[i, 3] = force[i, 7] = 0.0
+    force[len(position):] = 0.0
+
+
+@njit(cache=True)
+def first_not_finite(x, force):
+    """The first particle whose position or force is not a finite number, or -1."""
+    for i in range(len(x)):
+        if not np.isfinite(x[i, 0] + x[i, 1] + x[i, 2] + force[i, 0] + force[i, 1] + force[i, 2]):
+            return i
+    return -1
 
 
 @njit(cache=True)

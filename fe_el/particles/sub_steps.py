@@ -1,7 +1,6 @@
 """Sub-steps of contacts: one for any laws and ranks, and many at once in compiled code where nothing else has a say."""
 import math
 
-import numpy as np
 from numba import njit
 
 from fe_el.particles.law_kernels import FAST

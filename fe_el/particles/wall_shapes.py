@@ -118,7 +118,7 @@ def shape_forces(x, state, force, radius, inverse_mass, material, particle, wall
                  motion, wall_material, wall_force, deepest, b, numbers, h):
     """Add the contact forces of planes and cylinders; returns the number of contacts, or -1 - i where i is behind one."""
     touching, m, bad = 0, 0, 0
-    who, at, wall_of = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
+    who, at, wall_of = np.empty(BLOCK, np.uint64), np.empty(BLOCK, np.uint64), np.empty(BLOCK, np.uint64)
     uniform = constant_rows(b, numbers)
     for k in range(len(particle)):
         i, n = particle[k], wall[k]

@@ -167,9 +167,9 @@ def facet_forces(x, state, force, radius, inverse_mass, material, particle, face
                  facet_wall, motion, wall_material, wall_force, deepest, b, numbers, h):
     """Add the contact forces of wall facets; returns the number of contacts, or -1 - i where the centre of i is on a wall."""
     touching, sides, m, k, total, bad = 0, corner.shape[1], 0, 0, len(particle), 0
-    point, weight, slot = np.empty((MOST, 3)), np.empty((MOST, 3)), np.empty(MOST, np.int64)
+    point, weight, slot = np.empty((MOST, 3)), np.empty((MOST, 3)), np.empty(MOST, np.uint64)
     contact = np.empty(MOST, np.bool_)
-    who, at, wall_of = np.empty(B, np.int64), np.empty(B, np.int64), np.empty(B, np.int64)
+    who, at, wall_of = np.empty(B, np.uint64), np.empty(B, np.uint64), np.empty(B, np.uint64)
     uniform = constant_rows(b, numbers)
     while k < total:
         i, near = particle[k], 0
