@@ -7,6 +7,7 @@ from fe_el.particles import motion, neighbours
 from fe_el.particles import walls as _walls
 from fe_el.particles.ghosts import Ghosts
 from fe_el.particles.law_kernels import aligned
+from fe_el.particles.sub_steps import update_near
 from fe_el.particles.wall_shapes import FACETS, shape_list
 
 SORT_EVERY = 8  # rebuilds
@@ -54,6 +55,12 @@ class ContactLists:
                     self.force)
         self.ghosts.forward_state(self.x, self.state)
         return self.x, self.state, self.force
+
+    def widen(self, moved):
+        """Indices of the pairs, and of the pairs with facets, that may touch after moves of up to ``sqrt(moved)``."""
+        gaps = (self.gap, self.wall_gap, self.listed, self.wall_listed)
+        self.near = update_near(moved, self.skin, *gaps, *self.near)
+        return self.listed[:self.near[1]], self.wall_listed[:self.near[2]]
 
     # -- renewal -------------------------------------------------------------------------------------------------------
 
@@ -168,7 +175,6 @@ class ContactLists:
         pairs = neighbours.neighbour_pairs(x, self.radius, n, self.skin)
         self.first, self.second = (a.view(np.uint32) for a in pairs)  # without a sign no index is checked for being negative
         self.gap = neighbours.gaps(x, self.radius, self.first, self.second)
-        self.listed, self.near = np.empty(len(self.gap) + 1, np.uint32), (0.0, -1)  # pairs that may touch: see update_near
         empty = np.zeros(0, np.uint32)
         self.wall_particle = self.wall_facet = self.shape_particle = self.shape_wall = empty
         if self.facets is not None:
@@ -177,6 +183,9 @@ class ContactLists:
         if self.has_shapes:
             near = shape_list(x, self.radius, n, self.skin, self.kind, self.shape, self.motion)
             self.shape_particle, self.shape_wall = (a.view(np.uint32) for a in near)
+        self.wall_gap = _walls.wall_gaps(x, self.radius, self.wall_particle, self.wall_facet, self.facet_rows[0])
+        self.listed, self.wall_listed = (np.empty(len(a) + 1, np.uint32) for a in (self.gap, self.wall_gap))
+        self.near = (-1.0, 0, 0)  # see update_near
         self.springs, self.stamps = [], []
         for (first, partner), old in zip(self._partners(), kept):
             spring, live = aligned(len(first), self.width), np.zeros(len(first), np.bool_)

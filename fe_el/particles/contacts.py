@@ -12,7 +12,7 @@ from fe_el.particles.array_law import ArrayLaw, array_forces
 from fe_el.particles.law_kernels import new_block
 from fe_el.particles.pair_forces import pair_forces
 from fe_el.particles.particles import LostParticle
-from fe_el.particles.sub_steps import sub_steps, update_near, wall_forces
+from fe_el.particles.sub_steps import sub_steps, wall_forces
 from fe_el.particles.wall_shapes import FacetWalls, move_walls
 
 
@@ -182,7 +182,7 @@ class Contacts:
         pairs = (lists.first, lists.second, lists.springs[0], lists.stamps[0])
         steps, touching, walls, behind, self.largest_overlap, *lists.near, self.stale = sub_steps(
             most, h, 0.5, self.step, lists.age, lists.skin, lists.wall_speed(), self._rows(), drift, lists.ghosts.images, pairs,
-            (lists.gap, lists.listed, *lists.near), *self._wall_rows(), self.block, (self.law.numbers, numbers),
+            (lists.gap, lists.wall_gap, lists.listed, lists.wall_listed, *lists.near), *self._wall_rows(), self.block, (self.law.numbers, numbers),
             self.largest_overlap)
         self.step, lists.age, self.touching = self.step + steps, lists.age + steps, touching + walls
         self.behind = behind if behind >= 0 else None
@@ -221,18 +221,18 @@ class Contacts:
         """Wall and pair forces at one instant, when particles have moved by up to ``sqrt(moved)`` since the lists were made."""
         lists = self.lists
         x, state, force, radius, inverse_mass, material = rows = self._rows()
+        near, near_walls = lists.widen(moved)
         self.step, touching_walls = self.step + 1, 0
         if self.walls:
             facets, shapes, walls = self._wall_rows()
-            touching_walls, behind = wall_forces(rows, facets, shapes, walls, self.step, self.block, self.wall_law.numbers, h)
+            touching_walls, behind = wall_forces(rows, near_walls, facets, shapes, walls, self.step, self.block,
+                                                 self.wall_law.numbers, h)
             self.behind = behind if behind >= 0 else self.behind
             self.largest_overlap = walls[3][0]
         pairs = (lists.first, lists.second, lists.springs[0], lists.stamps[0], self.step)
         if isinstance(self.law, ArrayLaw):
             touching, overlap = array_forces(self.law, x, state, force, radius, inverse_mass, *pairs, h)
         else:
-            lists.near = update_near(lists.gap, lists.near[0], moved, lists.skin, lists.listed, lists.near[1])
-            near = lists.listed[:lists.near[1]]
             touching, overlap = pair_forces(x, state, force, radius, material, near, *pairs, self.block, self.law.numbers, h,
                                             self.largest_overlap)
         self.touching = touching + touching_walls

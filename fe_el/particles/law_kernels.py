@@ -32,7 +32,8 @@ B = BLOCK
 
 def aligned(rows, width):
     """Zeros (rows, width) that start at a line of the cache."""
-    memory = np.zeros(rows * width + 7)
+    memory = np.empty(rows * width + 7)
+    memory[:] = 0.0
     start = -(memory.ctypes.data // 8) % 8
     return memory[start:start + rows * width].reshape(rows, width)
 

@@ -12,7 +12,7 @@ from fe_el.particles.walls import facet_forces
 
 @njit(cache=True)
 def prune(gap, reach, near):
-    """List the pairs whose gap was less than ``reach`` when the lists were made; returns their number."""
+    """List the pairs whose gap was less than ``reach``; returns their number."""
     number = 0
     for k in range(len(gap)):
         near[number] = k  # one entry longer than the gaps
@@ -21,13 +21,18 @@ def prune(gap, reach, near):
 
 
 @njit(cache=True)
-def update_near(gap, reach, moved, skin, near, number):
-    """Widen the list of pairs that may touch as the particles have moved by up to ``sqrt(moved)``: (reach, number)."""
+def update_near(moved, skin, gap, wall_gap, listed, wall_listed, reach, number, walls):
+    """Widen the lists of what may touch, as particles have moved by up to ``sqrt(moved)``; returns the last three anew.
+
+    ``gap`` and ``wall_gap`` are those of all pairs when they were found; of these the first ``number`` and ``walls`` entries of
+    ``listed`` and ``wall_listed`` may touch by now.
+    """
     need = 2 * math.sqrt(moved)
-    if need >= reach or number < 0:
-        reach = min(max(2 * need, skin / 16), skin)
-        number = prune(gap, reach, near)
-    return reach, number
+    if need >= reach:
+        reach = max(2 * need, skin / 16)
+        reach = reach if reach < skin else math.inf  # all
+        number, walls = prune(gap, reach, listed), prune(wall_gap, 0.5 * reach, wall_listed)
+    return reach, number, walls
 
 
 @njit(cache=True, fastmath=FAST)
@@ -42,11 +47,11 @@ def _images(rows, shift, owned, x, state):
 
 
 @njit(cache=True)
-def wall_forces(particles, facets, shapes, walls, step, block, numbers, h):
+def wall_forces(particles, listed, facets, shapes, walls, step, block, numbers, h):
     """Forces of facets, planes and cylinders: (contacts, particle that came onto or behind a wall or -1)."""
     touching, behind = 0, -1
-    if len(facets[0]):
-        n = facet_forces(*particles, *facets[:4], step, *facets[4:], *walls, block, numbers, h)
+    if len(listed):
+        n = facet_forces(*particles, listed, *facets[:4], step, *facets[4:], *walls, block, numbers, h)
         touching, behind = max(n, 0), max(-1 - n, behind)
     if len(shapes[0]):
         n = shape_forces(*particles, *shapes[:4], step, *shapes[4:], *walls, block, numbers, h)
@@ -65,7 +70,7 @@ def sub_steps(most, h, part, step, age, skin, wall_speed, particles, drift, imag
     """
     x, state, force, radius, inverse_mass, material = particles
     external, inverse_inertia, x0 = drift
-    gap, listed, reach, number = near
+    gap, wall_gap, listed, wall_listed, reach, number, close = near
     first, second, spring, stamp = pairs
     owned, made, touching, touching_walls, behind, stale = len(x0), 0, 0, 0, -1, False
     while made < most and not stale:
@@ -74,10 +79,10 @@ def sub_steps(most, h, part, step, age, skin, wall_speed, particles, drift, imag
         _images(images[0], images[1], owned, x, state)
         force[owned:] = 0.0
         move_walls(shapes[4], shapes[5], walls[0], h)
-        reach, number = update_near(gap, reach, moved, skin, listed, number)
-        touching_walls, back = wall_forces(particles, facets, shapes, walls, step + made, block, laws[1], h)
+        reach, number, close = update_near(moved, skin, gap, wall_gap, listed, wall_listed, reach, number, close)
+        touching_walls, back = wall_forces(particles, wall_listed[:close], facets, shapes, walls, step + made, block, laws[1], h)
         behind = max(behind, back)
         touching, deepest = pair_forces(x, state, force, radius, material, listed[:number], first, second, spring, stamp,
                                         step + made, block, laws[0], h, deepest)
         stale = not math.sqrt(moved) + wall_speed * h * (age + made) <= 0.5 * skin
-    return made, touching, touching_walls, behind, max(deepest, walls[3][0]), reach, number, stale
+    return made, touching, touching_walls, behind, max(deepest, walls[3][0]), reach, number, close, stale

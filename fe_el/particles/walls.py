@@ -118,6 +118,17 @@ def wall_list(x, radius, cell, skin, cell_start, cell_facet, corner, ball):
         capacity = number
 
 
+@njit(cache=True)
+def wall_gaps(x, radius, particle, facet, corner):
+    """Distance of the surface of each particle of a list from its facet, negative in contact."""
+    gap = np.empty(len(particle))
+    for k in range(len(particle)):
+        i = particle[k]
+        qx, qy, qz, _, _, _ = nearest_point(corner[facet[k]], x[i, 0], x[i, 1], x[i, 2])
+        gap[k] = np.sqrt((qx - x[i, 0]) ** 2 + (qy - x[i, 1]) ** 2 + (qz - x[i, 2]) ** 2) - radius[i]
+    return gap
+
+
 @njit(cache=True, fastmath=FAST, inline="always")
 def gather_wall(b, m, i, px, py, pz, motion, x, state, radius, inverse_mass, spring, at, keep, numbers):
     """Rows of one contact of particle i with the wall point p; ``motion`` is the wall's origin, velocity and rotation."""
@@ -163,17 +174,18 @@ def finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_mat
 
 
 @njit(cache=True, fastmath=FAST)
-def facet_forces(x, state, force, radius, inverse_mass, material, particle, facet, spring, stamp, step, corner, vertex,
+def facet_forces(x, state, force, radius, inverse_mass, material, listed, particle, facet, spring, stamp, step, corner, vertex,
                  facet_wall, motion, wall_material, wall_force, deepest, b, numbers, h):
-    """Add the contact forces of wall facets; returns the number of contacts, or -1 - i where the centre of i is on a wall."""
-    touching, sides, m, k, total, bad = 0, corner.shape[1], 0, 0, len(particle), 0
+    """Add the contact forces of the ``listed`` pairs with wall facets; returns the number of contacts, or -1 - i where the centre of i is on a wall."""
+    touching, sides, m, entry, total, bad = 0, corner.shape[1], 0, 0, len(listed), 0
     point, weight, slot = np.empty((MOST, 3)), np.empty((MOST, 3)), np.empty(MOST, np.uint64)
     contact = np.empty(MOST, np.bool_)
     who, at, wall_of = np.empty(B, np.uint64), np.empty(B, np.uint64), np.empty(B, np.uint64)
     uniform = constant_rows(b, numbers)
-    while k < total:
-        i, near = particle[k], 0
-        while k < total and particle[k] == i:
+    while entry < total:
+        i, near = particle[listed[entry]], 0
+        while entry < total and particle[listed[entry]] == i:
+            k = listed[entry]
             f = facet[k]
             qx, qy, qz, wa, wb, wc = nearest_point(corner[f], x[i, 0], x[i, 1], x[i, 2])
             d2 = (qx - x[i, 0]) ** 2 + (qy - x[i, 1]) ** 2 + (qz - x[i, 2]) ** 2
@@ -182,7 +194,7 @@ def facet_forces(x, state, force, radius, inverse_mass, material, particle, face
                 weight[near, 0], weight[near, 1], weight[near, 2] = wa, wb, wc
                 slot[near] = k
                 near += 1
-            k += 1
+            entry += 1
         if near == 0:
             continue
         moved = False
