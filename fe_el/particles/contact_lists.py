@@ -7,7 +7,6 @@ from fe_el.particles import motion, neighbours
 from fe_el.particles import walls as _walls
 from fe_el.particles.ghosts import Ghosts
 from fe_el.particles.law_kernels import aligned
-from fe_el.particles.sub_steps import update_near
 from fe_el.particles.wall_shapes import FACETS, shape_list
 
 SORT_EVERY = 8  # rebuilds
@@ -55,12 +54,6 @@ class ContactLists:
                     self.force)
         self.ghosts.forward_state(self.x, self.state)
         return self.x, self.state, self.force
-
-    def widen(self, moved):
-        """Indices of the pairs, and of the pairs with facets, that may touch after moves of up to ``sqrt(moved)``."""
-        gaps = (self.gap, self.wall_gap, self.listed, self.wall_listed)
-        self.near = update_near(moved, self.skin, *gaps, *self.near)
-        return self.listed[:self.near[1]], self.wall_listed[:self.near[2]]
 
     # -- renewal -------------------------------------------------------------------------------------------------------
 

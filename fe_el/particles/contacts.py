@@ -3,16 +3,14 @@ import math
 import time
 
 import numpy as np
-from mpi4py import MPI
 
 from fe_el.checks import require_positive
 from fe_el.exchange import largest_of, raise_everywhere
 from fe_el.particles import contact_lists, motion
 from fe_el.particles.array_law import ArrayLaw, array_forces
 from fe_el.particles.law_kernels import new_block
-from fe_el.particles.pair_forces import pair_forces
 from fe_el.particles.particles import LostParticle
-from fe_el.particles.sub_steps import sub_steps, wall_forces
+from fe_el.particles.sub_steps import all_forces, sub_steps, update_near, wall_forces
 from fe_el.particles.wall_shapes import FacetWalls, move_walls
 
 
@@ -170,7 +168,7 @@ class Contacts:
             if lists.has_shapes:
                 move_walls(lists.kind, lists.shape, lists.motion, h)
             if comm.size > 1:
-                moved = comm.allreduce(moved, op=MPI.MAX)
+                moved = largest_of(comm, moved)[0]
             self._forces(h, moved)
             lists.age += 1
             self.stale = not math.sqrt(moved) + wall_speed * h * lists.age <= 0.5 * lists.skin
@@ -178,13 +176,11 @@ class Contacts:
 
     def _compiled_steps(self, h, most, drift):
         """The same in one call, on one rank and with a built-in law."""
-        lists, numbers = self.lists, getattr(self.wall_law, "numbers", self.law.numbers)
-        pairs = (lists.first, lists.second, lists.springs[0], lists.stamps[0])
-        steps, touching, walls, behind, self.largest_overlap, *lists.near, self.stale = sub_steps(
-            most, h, 0.5, self.step, lists.age, lists.skin, lists.wall_speed(), self._rows(), drift, lists.ghosts.images, pairs,
-            (lists.gap, lists.wall_gap, lists.listed, lists.wall_listed, *lists.near), *self._wall_rows(), self.block, (self.law.numbers, numbers),
-            self.largest_overlap)
-        self.step, lists.age, self.touching = self.step + steps, lists.age + steps, touching + walls
+        lists, rows = self.lists, self._rows()
+        steps, self.stale, self.touching, behind, self.largest_overlap, lists.near = sub_steps(
+            most, h, 0.5, lists.age, lists.skin, lists.wall_speed(), rows[0], drift, lists.ghosts.images, *rows[1:], self.step,
+            self.block, self._numbers(), self.largest_overlap)
+        self.step, lists.age = self.step + steps, lists.age + steps
         self.behind = behind if behind >= 0 else None
         return steps
 
@@ -206,37 +202,42 @@ class Contacts:
                        "law: insert without overlap, or use more steps_per_contact.")
         raise_everywhere(p.comm, FloatingPointError, message)
 
-    def _rows(self):
-        lists = self.lists
-        return lists.x, lists.state, lists.force, lists.radius, lists.inverse_mass, lists.material
+    def _numbers(self):
+        return self.law.numbers, getattr(self.wall_law, "numbers", self.law.numbers)  # without walls it may be an ArrayLaw
 
-    def _wall_rows(self):
-        """What the kernels need of facets, of planes and cylinders, and of all walls."""
+    def _rows(self):
+        """What the kernels need of particles, pairs (twice), what is near, facets, planes and cylinders, and of all walls."""
         lists = self.lists
         facets = (lists.wall_particle, lists.wall_facet, lists.springs[1], lists.stamps[1], *lists.facet_rows)
         shapes = (lists.shape_particle, lists.shape_wall, lists.springs[2], lists.stamps[2], lists.kind, lists.shape)
-        return facets, shapes, (lists.motion, lists.wall_material, self.wall_impulse, np.array([self.largest_overlap]))
+        return ((lists.x, lists.state, lists.force, lists.radius, lists.inverse_mass, lists.material),
+                (lists.first, lists.second, lists.springs[0], lists.stamps[0]),
+                (lists.gap, lists.wall_gap, lists.listed, lists.wall_listed), lists.near, facets, shapes,
+                (lists.motion, lists.wall_material, self.wall_impulse, np.array([self.largest_overlap])))
 
     def _forces(self, h, moved):
         """Wall and pair forces at one instant, when particles have moved by up to ``sqrt(moved)`` since the lists were made."""
-        lists = self.lists
-        x, state, force, radius, inverse_mass, material = rows = self._rows()
-        near, near_walls = lists.widen(moved)
-        self.step, touching_walls = self.step + 1, 0
-        if self.walls:
-            facets, shapes, walls = self._wall_rows()
-            touching_walls, behind = wall_forces(rows, near_walls, facets, shapes, walls, self.step, self.block,
-                                                 self.wall_law.numbers, h)
-            self.behind = behind if behind >= 0 else self.behind
-            self.largest_overlap = walls[3][0]
-        pairs = (lists.first, lists.second, lists.springs[0], lists.stamps[0], self.step)
+        lists, rows = self.lists, self._rows()
+        self.step += 1
         if isinstance(self.law, ArrayLaw):
-            touching, overlap = array_forces(self.law, x, state, force, radius, inverse_mass, *pairs, h)
-        else:
-            touching, overlap = pair_forces(x, state, force, radius, material, near, *pairs, self.block, self.law.numbers, h,
-                                            self.largest_overlap)
+            return self._array_forces(h, moved, rows)
+        self.touching, behind, self.largest_overlap, lists.near = all_forces(
+            *rows, moved, lists.skin, self.step, self.block, self._numbers(), h, self.largest_overlap)
+        self.behind = behind if behind >= 0 else self.behind
+        return None
+
+    def _array_forces(self, h, moved, rows):
+        """The same for an array law."""
+        (x, state, force, radius, inverse_mass, _), pairs, found, near, facets, shapes, walls = rows
+        lists, touching_walls = self.lists, 0
+        if self.walls:
+            lists.near = update_near(moved, lists.skin, *found, *near)
+            touching_walls, behind = wall_forces(rows[0], lists.wall_listed[:lists.near[2]], facets, shapes, walls, self.step,
+                                                 self.block, self.wall_law.numbers, h)
+            self.behind = behind if behind >= 0 else self.behind
+        touching, overlap = array_forces(self.law, x, state, force, radius, inverse_mass, *pairs, self.step, h)
         self.touching = touching + touching_walls
-        self.largest_overlap = max(self.largest_overlap, overlap)
+        self.largest_overlap = max(self.largest_overlap, overlap, walls[3][0])
 
     def _check_behind(self):
         """Stop if a particle's centre came onto or behind a wall in the last sub-steps."""

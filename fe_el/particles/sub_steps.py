@@ -60,29 +60,40 @@ def wall_forces(particles, listed, facets, shapes, walls, step, block, numbers, 
 
 
 @njit(cache=True)
-def sub_steps(most, h, part, step, age, skin, wall_speed, particles, drift, images, pairs, near, facets, shapes, walls, block,
-              laws, deepest):
+def all_forces(particles, pairs, found, near, facets, shapes, walls, moved, skin, step, block, laws, h, deepest):
+    """Forces of walls and pairs with built-in laws, when particles have moved by up to ``sqrt(moved)``.
+
+    Returns:
+        touching pairs and walls, a particle behind a wall or -1, largest overlap over diameter so far, and ``near`` anew.
+    """
+    x, state, force, radius, _, material = particles
+    near = update_near(moved, skin, *found, *near)
+    listed, wall_listed = found[2][:near[1]], found[3][:near[2]]
+    touching_walls, behind = wall_forces(particles, wall_listed, facets, shapes, walls, step, block, laws[1], h)
+    touching, deepest = pair_forces(x, state, force, radius, material, listed, *pairs, step, block, laws[0], h, deepest)
+    return touching + touching_walls, behind, max(deepest, walls[3][0]), near
+
+
+@njit(cache=True)
+def sub_steps(most, h, part, age, skin, wall_speed, particles, drift, images, pairs, found, near, facets, shapes, walls, step,
+              block, laws, deepest):
     """Sub-steps of one rank with built-in laws, at most ``most``, until the lists are out of date.
 
     Returns:
-        sub-steps made, touching pairs and walls in the last, a particle behind a wall or -1, largest overlap over diameter so
-        far, what :func:`update_near` returns, and whether the lists are out of date.
+        sub-steps made, whether the lists are out of date, and what :func:`all_forces` returns, of any sub-step for a particle
+        behind a wall.
     """
-    x, state, force, radius, inverse_mass, material = particles
+    x, state, force, _, inverse_mass, _ = particles
     external, inverse_inertia, x0 = drift
-    gap, wall_gap, listed, wall_listed, reach, number, close = near
-    first, second, spring, stamp = pairs
-    owned, made, touching, touching_walls, behind, stale = len(x0), 0, 0, 0, -1, False
+    owned, made, touching, behind, stale = len(x0), 0, 0, -1, False
     while made < most and not stale:
         moved = kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0, part, h, owned)
         part, made = 1.0, made + 1
         _images(images[0], images[1], owned, x, state)
         force[owned:] = 0.0
         move_walls(shapes[4], shapes[5], walls[0], h)
-        reach, number, close = update_near(moved, skin, gap, wall_gap, listed, wall_listed, reach, number, close)
-        touching_walls, back = wall_forces(particles, wall_listed[:close], facets, shapes, walls, step + made, block, laws[1], h)
+        touching, back, deepest, near = all_forces(particles, pairs, found, near, facets, shapes, walls, moved, skin, step + made,
+                                                   block, laws, h, deepest)
         behind = max(behind, back)
-        touching, deepest = pair_forces(x, state, force, radius, material, listed[:number], first, second, spring, stamp,
-                                        step + made, block, laws[0], h, deepest)
         stale = not math.sqrt(moved) + wall_speed * h * (age + made) <= 0.5 * skin
-    return made, touching, touching_walls, behind, max(deepest, walls[3][0]), reach, number, close, stale
+    return made, stale, touching, behind, deepest, near
