@@ -87,11 +87,11 @@ class ContactLists:
         if self._skin is None:
             if self.skin is None:
                 self.skin = 0.1 * smallest
-            elif self.age < 80:
+            elif self.age < 160:
                 self.skin *= 1.25
-            elif self.age > 200:
+            elif self.age > 400:
                 self.skin *= 0.9
-            self.skin = min(max(self.skin, 0.04 * smallest), 0.3 * smallest)
+            self.skin = min(max(self.skin, 0.04 * smallest), 0.5 * smallest)
             self.skin = max(self.skin, 6 * h * speed)
         elif 4 * h * speed > self.skin:
             raise ValueError(f"The fastest particle moves {h * speed:g} m in one sub-step of {h:g} s, too much for the skin of "

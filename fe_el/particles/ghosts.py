@@ -6,6 +6,20 @@ from numba import njit
 
 
 @njit(cache=True)
+def _inside(position, lower, upper):
+    """Rows of the positions in a box."""
+    rows, number = np.empty(len(position), np.int64), 0
+    for i in range(len(position)):
+        here = True
+        for k in range(3):
+            here &= lower[k] <= position[i, k] <= upper[k]
+        if here:
+            rows[number] = i
+            number += 1
+    return rows[:number].copy()
+
+
+@njit(cache=True)
 def _pack(rows, x, state, out):
     """Position, velocity and angular velocity of the particles in ``rows``, one after the other."""
     for n in range(len(rows)):
@@ -49,8 +63,7 @@ class Ghosts:
             for offset in offsets:
                 if rank == comm.rank and not offset.any():
                     continue
-                x = position + offset
-                inside = np.flatnonzero(((x >= lower) & (x <= upper)).all(1))
+                inside = _inside(position, lower - offset, upper - offset)
                 rows.append(inside)
                 moved.append(np.tile(offset, (len(inside), 1)))
             self.send.append(np.concatenate(rows))

@@ -7,6 +7,9 @@ import numpy as np
 from numba import njit
 
 
+NONE = np.uint32(2 ** 32 - 1)  # behind the last particle of a box; without a sign no index is checked for being negative
+
+
 @njit(cache=True)
 def morton_code(x, lower, size):
     """Bits of the box indices of each position, interleaved: boxes that are near in space are near in this order."""
@@ -33,7 +36,7 @@ def _classes(radius, smallest, count):
 def _search(x, radius, level, owned, skin, lower, size, shape, offset, first, second):
     """Fill the pairs closer than the skin, the first one owned; returns their number (beyond the capacity: only counted)."""
     m, grids = len(x), len(size)
-    head, following = np.full(offset[grids], -1, np.int32), np.empty(m, np.int32)
+    head, following = np.full(offset[grids], NONE, np.uint32), np.empty(m, np.uint32)
     for i in range(m - 1, -1, -1):
         g, b = level[i], 0
         for k in range(3):
@@ -51,7 +54,7 @@ def _search(x, radius, level, owned, skin, lower, size, shape, offset, first, se
                     half = same and a == at[0] and b == at[1]
                     for c in range(at[2] if half else max(at[2] - 1, 0), min(at[2] + 2, shape[g, 2])):
                         j, own = head[offset[g] + (a * shape[g, 1] + b) * shape[g, 2] + c], half and c == at[2]
-                        while j >= 0:
+                        while j != NONE:
                             if (j > i or not own) and (i < owned or j < owned):
                                 dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
                                 reach = radius[i] + radius[j] + skin
