@@ -68,21 +68,20 @@ class Nodes:
         index_map = self.space.dofmap.index_map
         self.owned, self.number = index_map.size_local, index_map.size_local + index_map.num_ghosts
         self.halo, self.measure = Halo.of_index_map(self.comm, index_map), measure
-        self.corner = self.dofs.astype(np.uint32)  # without a sign no index is checked for being negative
         self.total = self.comm.allreduce(measure.sum())
 
     def load(self, field, mean=None):
         """Nodal integrals (nodes, k) of a cell field less ``mean`` (k), complete on owned nodes."""
         k = field.shape[1]
         out = np.zeros((self.number, k))
-        _to_nodes(self.corner, self.measure, field, np.zeros(k) if mean is None else mean, out)
+        _to_nodes(self.dofs, self.measure, field, np.zeros(k) if mean is None else mean, out)
         return self.halo.reverse_add(out)
 
     def means(self, values, mean=None):
         """Cell means (cells, k) of nodal values, plus ``mean`` (k)."""
         k = values.shape[1]
-        out = np.empty((len(self.corner), k))
-        _to_cells(self.corner, values, np.zeros(k) if mean is None else mean, out)
+        out = np.empty((len(self.dofs), k))
+        _to_cells(self.dofs, values, np.zeros(k) if mean is None else mean, out)
         return out
 
 

@@ -1,6 +1,7 @@
 """Numba loops that are compiled once for triangles and once for tetrahedra, so that the loops inside a cell are unrolled."""
 from types import FunctionType
 
+import numpy as np
 from numba import njit
 
 FAST = {"contract", "reassoc", "nsz", "arcp"}  # no finite-math assumption: NaN must stay visible
@@ -16,6 +17,6 @@ def by_dimension(function):
         versions[d + 1] = njit(cache=True, fastmath=FAST)(copy)
 
     def call(dofs, *arguments):
-        return versions[dofs.shape[1]](dofs, *arguments)
+        return versions[dofs.shape[1]](dofs.view(np.uint32), *arguments)  # without a sign no index is checked for being negative
     call.__doc__, call.__name__ = function.__doc__, function.__name__
     return call

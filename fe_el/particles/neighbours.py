@@ -6,7 +6,6 @@ and the coarser ones, so the cost follows the number of neighbours however wide 
 import numpy as np
 from numba import njit
 
-
 NONE = np.uint32(2 ** 32 - 1)  # behind the last particle of a box; without a sign no index is checked for being negative
 
 
