@@ -110,3 +110,41 @@ def test_the_step_is_that_of_the_pairs_there_are():
     mass = 2500.0 * np.pi / 6 * np.array([5e-4, 5e-3]) ** 3
     pairs = [(mass[0] / 2, 100.0), (1 / (1 / mass).sum(), 200.0), (mass[1] / 2, 1000.0)]
     assert c.step_limit() == pytest.approx(min(np.pi * np.sqrt(m / k) for m, k in pairs) / 50, rel=2e-3)
+
+
+@pytest.mark.parametrize("number", range(2, 8))
+def test_many_sub_steps_in_one_call_are_the_same_as_one_by_one(number):
+    """Contacts of 1 to 6 touching pairs, a facet and a moving plane: blocks that no multiple of four fills."""
+    states = []
+    for one_by_one in (False, True):
+        mesh, tags = fe_el.box((0.05, 0.02, 0.02), (5, 2, 2))
+        beads = fe_el.Particles(mesh, 2500.0, (0, 0, -9.81))
+        x = np.column_stack([0.005 + 0.00195 * np.arange(number), np.full(number, 0.01), np.full(number, 0.00098)])
+        beads.insert_at(x, 0.002, velocity=0.1 * np.random.default_rng(1).normal(size=x.shape))
+        law = fe_el.LinearSpringDashpot(1e3, 0.8, 0.3)
+        plane = fe_el.PlaneWall((0.0041, 0, 0), (1, 0, 0), velocity=(0.05, 0, 0))
+        contacts = fe_el.Contacts(beads, law, [fe_el.FacetWalls(tags, 5), plane])
+        if one_by_one:
+            contacts._compiled_steps = contacts._steps
+        for _ in range(10):
+            beads.advance(2e-4, contacts)
+        states.append(np.hstack([beads.position, beads.velocity, beads.angular_velocity, beads.contact_force]))
+    scale = np.abs(states[0]).max(0)
+    assert (np.abs(states[0] - states[1]) <= 1e-11 * scale).all()
+    assert np.abs(states[0][:, 3:6]).max() > 1e-3
+
+
+def test_pairs_left_out_as_too_far_never_touch():
+    """Lists of any reach give one motion, though each leaves out other pairs from one sub-step to the next."""
+    runs = []
+    for skin in (2e-4, 1e-3):
+        mesh, tags = fe_el.box((0.02, 0.02, 0.02), (2, 2, 2))
+        beads = fe_el.Particles(mesh, 2500.0)
+        grid = 0.0022 * np.stack(np.meshgrid(*[np.arange(5)] * 3), -1).reshape(-1, 3) + 0.005
+        beads.insert_at(grid, 0.002, velocity=0.5 * np.random.default_rng(2).normal(size=grid.shape))
+        contacts = fe_el.Contacts(beads, fe_el.LinearSpringDashpot(1e3, 0.9, 0.1), (tags, (1, 2, 3, 4, 5, 6)), skin=skin)
+        for _ in range(4):
+            beads.advance(5e-4, contacts)
+        order = np.argsort(beads.id)
+        runs.append(np.hstack([beads.position[order], beads.velocity[order]]))
+    assert np.abs(runs[0] - runs[1]).max() < 1e-10 * np.abs(runs[0]).max()
