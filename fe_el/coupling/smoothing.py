@@ -7,30 +7,20 @@ from scipy.sparse import csr_matrix
 from fe_el.checks import require_positive
 from fe_el.exchange import Halo
 from fe_el.fluid.for_each_dimension import FAST, M, by_dimension
+from fe_el.fluid.kernels import scatter
 from fe_el.fluid.linear_solver import ElementMatrix
 from fe_el.mesh import barycentric_maps, owned_corners
 
 
 @by_dimension
-def _to_nodes(dofs, measure, field, mean, out):
-    """Add the integrals of a cell field less ``mean`` to the nodes, in equal shares."""
-    for c in range(len(dofs)):
-        for k in range(field.shape[1]):
-            part = (field[c, k] - mean[k]) * measure[c] / M
-            for i in range(M):
-                out[dofs[c, i], k] += part
-
-
-@by_dimension
-def _to_cells(dofs, values, mean, out):
-    """Cell means of nodal values, plus ``mean``."""
+def _to_cells(dofs, values, out):
     share = 1.0 / M
     for c in range(len(dofs)):
         for k in range(values.shape[1]):
             total = 0.0
             for i in range(M):
                 total += values[dofs[c, i], k]
-            out[c, k] = share * total + mean[k]
+            out[c, k] = share * total
 
 
 @njit(cache=True, fastmath=FAST)
@@ -70,18 +60,16 @@ class Nodes:
         self.halo, self.measure = Halo.of_index_map(self.comm, index_map), measure
         self.total = self.comm.allreduce(measure.sum())
 
-    def load(self, field, mean=None):
-        """Nodal integrals (nodes, k) of a cell field less ``mean`` (k), complete on owned nodes."""
-        k = field.shape[1]
-        out = np.zeros((self.number, k))
-        _to_nodes(self.dofs, self.measure, field, np.zeros(k) if mean is None else mean, out)
+    def load(self, field):
+        """Nodal integrals (nodes, k) of a cell field, complete on owned nodes."""
+        out = np.zeros((self.number, field.shape[1]))
+        scatter(self.dofs, self.measure[:, None] * field, out)
         return self.halo.reverse_add(out)
 
-    def means(self, values, mean=None):
-        """Cell means (cells, k) of nodal values, plus ``mean`` (k)."""
-        k = values.shape[1]
-        out = np.empty((len(self.dofs), k))
-        _to_cells(self.dofs, values, np.zeros(k) if mean is None else mean, out)
+    def means(self, values):
+        """Cell means (cells, k) of nodal values."""
+        out = np.empty((len(self.dofs), values.shape[1]))
+        _to_cells(self.dofs, values, out)
         return out
 
 
@@ -166,9 +154,9 @@ class HelmholtzSmoothing:
         nodes, n = self.nodes, self.nodes.owned
         mean = nodes.comm.allreduce(nodes.measure @ field) / nodes.total
         values = np.zeros((nodes.number, field.shape[1]))
-        values[:n] = self._solve(nodes.load(field, mean))[:n]
+        values[:n] = self._solve(nodes.load(field - mean))[:n]
         lost = nodes.comm.allreduce(self.mass @ values[:n]) / nodes.total
-        return nodes.means(nodes.halo.forward(values), mean - lost)
+        return nodes.means(nodes.halo.forward(values)) + (mean - lost)
 
 
 class PatchAverage:

@@ -181,7 +181,7 @@ class Contacts:
             most, h, 0.5, lists.age, lists.skin, lists.wall_speed(), rows[0], drift, lists.ghosts.images, *rows[1:], self.step,
             self.block, self._numbers(), self.largest_overlap)
         self.step, lists.age = self.step + steps, lists.age + steps
-        self.behind = behind if behind >= 0 else None
+        self.behind = behind if behind >= 0 else self.behind
         return steps
 
     def _first_forces(self):

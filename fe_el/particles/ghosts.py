@@ -20,7 +20,7 @@ def _inside(position, lower, upper):
 
 
 @njit(cache=True)
-def _pack(rows, x, state, out):
+def pack(rows, x, state, out):
     """Position, velocity and angular velocity of the particles in ``rows``, one after the other."""
     for n in range(len(rows)):
         i = rows[n]
@@ -29,7 +29,7 @@ def _pack(rows, x, state, out):
 
 
 @njit(cache=True)
-def _unpack(packed, shift, first, owned, x, state):
+def unpack(packed, shift, first, owned, x, state):
     """Set ghosts from ``first`` on to what was packed, shifted for periodic images."""
     for n in range(len(packed)):
         i = first + n
@@ -74,8 +74,8 @@ class Ghosts:
         self.busy = self.number > 0 or any(len(rows) for rows in self.send)
         ends = n + np.cumsum(self.counts)
         self.receive = [slice(e - c, e) for e, c in zip(ends, self.counts)]
-        self.images = (self.send[comm.rank], self.shift) if comm.size == 1 else None
         self.buffers = [(np.empty((len(rows), 9)), np.empty((c, 9))) for rows, c in zip(self.send, self.counts)]
+        self.images = (self.send[comm.rank], self.buffers[comm.rank][0], self.shift)  # of this rank's own particles
 
     def grow(self, array):
         """A copy of an owned array with the ghosts' values behind it."""
@@ -105,11 +105,11 @@ class Ghosts:
             if rank != me and len(incoming):
                 requests.append(self.comm.Irecv(incoming, source=rank))
             if len(outgoing):
-                _pack(self.send[rank], x, state, outgoing)
+                pack(self.send[rank], x, state, outgoing)
                 if rank != me:
                     requests.append(self.comm.Isend(outgoing, dest=rank))
         for request in requests:
             request.Wait()
         for rank, (outgoing, incoming) in enumerate(self.buffers):
             if len(incoming):
-                _unpack(outgoing if rank == me else incoming, self.shift, self.receive[rank].start, self.owned, x, state)
+                unpack(outgoing if rank == me else incoming, self.shift, self.receive[rank].start, self.owned, x, state)

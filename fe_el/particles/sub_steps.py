@@ -3,7 +3,7 @@ import math
 
 from numba import njit
 
-from fe_el.particles.law_kernels import FAST
+from fe_el.particles.ghosts import pack, unpack
 from fe_el.particles.motion import kick_and_drift
 from fe_el.particles.pair_forces import pair_forces
 from fe_el.particles.wall_shapes import move_walls, shape_forces
@@ -33,17 +33,6 @@ def update_near(moved, skin, gap, wall_gap, listed, wall_listed, reach, number, 
         reach = reach if reach < skin else math.inf  # all
         number, walls = prune(gap, reach, listed), prune(wall_gap, 0.5 * reach, wall_listed)
     return reach, number, walls
-
-
-@njit(cache=True, fastmath=FAST)
-def _images(rows, shift, owned, x, state):
-    """Set the periodic images to their particles' positions and velocities."""
-    for n in range(len(rows)):
-        i, j = rows[n], owned + n
-        for k in range(3):
-            x[j, k] = x[i, k] + shift[n, k]
-        for k in range(1, 7):
-            state[j, k] = state[i, k]
 
 
 @njit(cache=True)
@@ -89,7 +78,8 @@ def sub_steps(most, h, part, age, skin, wall_speed, particles, drift, images, pa
     while made < most and not stale:
         moved = kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0, part, h, owned)
         part, made = 1.0, made + 1
-        _images(images[0], images[1], owned, x, state)
+        pack(images[0], x, state, images[1])
+        unpack(images[1], images[2], owned, owned, x, state)
         force[owned:] = 0.0
         move_walls(shapes[4], shapes[5], walls[0], h)
         touching, back, deepest, near = all_forces(particles, pairs, found, near, facets, shapes, walls, moved, skin, step + made,

@@ -176,7 +176,10 @@ def finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_mat
 @njit(cache=True, fastmath=FAST)
 def facet_forces(x, state, force, radius, inverse_mass, material, listed, particle, facet, spring, stamp, step, corner, vertex,
                  facet_wall, motion, wall_material, wall_force, deepest, b, numbers, h):
-    """Add the contact forces of the ``listed`` pairs with wall facets; returns the number of contacts, or -1 - i where the centre of i is on a wall."""
+    """Add the contact forces of the ``listed`` pairs with wall facets.
+
+    Returns the number of contacts, or -1 - i where the centre of i is on a wall.
+    """
     touching, sides, m, entry, total, bad = 0, corner.shape[1], 0, 0, len(listed), 0
     point, weight, slot = np.empty((MOST, 3)), np.empty((MOST, 3)), np.empty(MOST, np.uint64)
     contact = np.empty(MOST, np.bool_)
