@@ -38,11 +38,15 @@ def arguments():
     return p
 
 
-def slip_history(scheme, dt_star, cells, box, smoothing_length, end_time, seed):
-    """Times, slip velocities, drift over weight, stability and wall time of one run."""
+def suspension(scheme, box, cells, seed, drag="beetstra", smoothing_length=None, coarse_graining=1.0):
+    """A suspension of 150 um particles for a scheme or sub_cycled; box and cells have three values."""
     scheme, fluid_steps, positions = SUB_CYCLED.get(scheme, (scheme, 1, "start"))
-    scene = Suspension(150e-6, 1500.0, 0.1, (box,) * 3, (cells,) * 3, scheme, "beetstra", "satellite_points", "cell",
-                       smoothing_length, 1.0, False, seed, fluid_steps, positions)
+    return Suspension(150e-6, 1500.0, 0.1, box, cells, scheme, drag, "satellite_points", "cell",
+                      smoothing_length, coarse_graining, False, seed, fluid_steps, positions)
+
+
+def slip_history(scene, dt_star, end_time):
+    """Times, slip velocities, drift over weight, stability and wall time of one run."""
     tau_f = float(fe_el.time_scales.fluid_relaxation_time(150e-6, 1.3, 1.8e-5, scene.solid))
     steps = max(round(end_time / (dt_star * tau_f)), 1)
     dt = end_time / steps
@@ -69,17 +73,19 @@ def main(schemes=("conservative", "sub_cycled", "explicit", "implicit", "split")
     """Run all combinations and return the summary."""
     logging.getLogger().setLevel(logging.WARNING)
     comm, start = MPI.COMM_WORLD, time.perf_counter()
-    common = (box, smoothing_length, end_time)
-    slip_history("conservative", 1.0, cells[0], box, smoothing_length, end_time / 50, 1)  # compile before anything is timed
+
+    def history_of(scheme, step, n, seed, time=end_time):
+        return slip_history(suspension(scheme, (box,) * 3, (n,) * 3, seed, smoothing_length=smoothing_length), step, time)
+    history_of("conservative", 1.0, cells[0], 1, end_time / 50)  # compile before anything is timed
     jobs = [(n, seed) for n in cells for seed in range(1, seeds + 1)]
     bar = tqdm(total=len(jobs) * (1 + len(schemes) * len(dt_star)), disable=not progress or comm.rank > 0, unit="run")
     errors, means, walls, drifts, stables = {}, {}, {}, {}, {}
     for n, seed in jobs:
-        reference = slip_history("conservative", reference_dt_star, n, *common, seed)[0]
+        reference = history_of("conservative", reference_dt_star, n, seed)[0]
         bar.update()
         for scheme in schemes:
             for step in dt_star:
-                history, drift, stable, wall = slip_history(scheme, step, n, *common, seed)
+                history, drift, stable, wall = history_of(scheme, step, n, seed)
                 exact = np.interp(history[:, 0], reference[:, 0], reference[:, 1])
                 error = np.sqrt(np.mean((history[1:, 1] / exact[1:] - 1) ** 2)) if stable else np.inf
                 late, later = history[:, 0] >= 0.5 * end_time, reference[:, 0] >= 0.5 * end_time

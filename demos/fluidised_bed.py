@@ -50,6 +50,24 @@ def fill(beads, fraction, seed):
     beads.insert_on_lattice((0, 0, 0), (WIDTH * fraction, DEPTH, 0.98 * HEIGHT), diameter, seed=seed)
 
 
+def assemble(superficial_velocity=1.3, slice=1.0, drag="beetstra", stiffness=500.0, steps_per_contact=50, cell_size=0.0075):
+    """Beads (none yet), contacts, fluid and coupling of the bed; no fluid and coupling without a velocity."""
+    mesh, _, tags = bed_mesh(slice, cell_size)
+    gravity = (0, 0, -GRAVITY)
+    beads = fe_el.Particles(mesh, density=BEAD_DENSITY, gravity=gravity)
+    contacts = fe_el.Contacts(beads, fe_el.LinearSpringDashpot(stiffness, restitution=0.9, friction=0.1),
+                              walls=(tags, (WALL, INLET)), steps_per_contact=steps_per_contact)
+    if not superficial_velocity:
+        return beads, contacts, None, None
+    air = fe_el.VolumeAveragedNavierStokes(mesh, tags, GAS_DENSITY, GAS_VISCOSITY, gravity, tolerance=1e-9)
+    air.set_velocity(INLET, (0, 0, superficial_velocity))
+    air.set_pressure(OUTLET, 0.0)
+    air.set_no_slip(WALL)
+    air.set_initial_velocity((0, 0, superficial_velocity))
+    return beads, contacts, air, fe_el.Coupling(beads, air.velocity, air.pressure, GAS_DENSITY, GAS_VISCOSITY,
+                                                [fe_el.Drag(drag), fe_el.PressureGradient()])
+
+
 def mean_height(beads, small):
     """Mean height of the small or the large beads [m]."""
     chosen = (beads.diameter < 0.5 * (SMALL + LARGE)) == small
@@ -95,22 +113,10 @@ def main(superficial_velocity=1.3, end_time=1.0, time_step=1e-4, slice=1.0, drag
     if checkpoint_every is not None and not checkpoint_every >= time_step:
         raise ValueError(f"--checkpoint-every is {checkpoint_every}; give at least a time step of {time_step} s.")
     logging.getLogger().setLevel(logging.WARNING)
-    mesh, _, tags = bed_mesh(slice, cell_size)
-    gravity, area = (0, 0, -GRAVITY), WIDTH * slice * DEPTH
-    beads = fe_el.Particles(mesh, density=BEAD_DENSITY, gravity=gravity)
+    beads, contacts, air, coupling = assemble(superficial_velocity, slice, drag, stiffness, steps_per_contact, cell_size)
     if restart is None:
         fill(beads, slice, seed)
-    contacts = fe_el.Contacts(beads, fe_el.LinearSpringDashpot(stiffness, restitution=0.9, friction=0.1),
-                              walls=(tags, (WALL, INLET)), steps_per_contact=steps_per_contact)
-    air = coupling = None
-    if superficial_velocity:
-        air = fe_el.VolumeAveragedNavierStokes(mesh, tags, GAS_DENSITY, GAS_VISCOSITY, gravity, tolerance=1e-9)
-        air.set_velocity(INLET, (0, 0, superficial_velocity))
-        air.set_pressure(OUTLET, 0.0)
-        air.set_no_slip(WALL)
-        air.set_initial_velocity((0, 0, superficial_velocity))
-        coupling = fe_el.Coupling(beads, air.velocity, air.pressure, GAS_DENSITY, GAS_VISCOSITY,
-                                  [fe_el.Drag(drag), fe_el.PressureGradient()])
+    mesh, area = beads.mesh, WIDTH * slice * DEPTH
     parts, begin = [beads, contacts] + ([air] if air else []), 0.0
     if restart is not None:
         begin = float(fe_el.load_checkpoint(restart, *parts)["time"])

@@ -31,7 +31,7 @@ def installed():
     return shutil.which("icoFoam") is not None
 
 
-def _block(lengths, number, patches):
+def block_mesh(lengths, number, patches):
     """blockMeshDict of a box; patches: name -> (type, further entries, faces as in 'x- y+')."""
     x, y, z = lengths
     faces = {"x-": "(0 4 7 3)", "x+": "(1 2 6 5)", "y-": "(0 1 5 4)", "y+": "(3 7 6 2)", "z-": "(0 3 2 1)", "z+": "(4 5 6 7)"}
@@ -43,7 +43,8 @@ def _block(lengths, number, patches):
             f"simpleGrading (1 1 1)); edges (); boundary (\n{boundary}\n);\n")
 
 
-def _field(kind, name, dimensions, inner, boundary):
+def field(kind, name, dimensions, inner, boundary):
+    """Text of a field's file; boundary: patch -> condition."""
     rows = "\n".join(f"{patch} {{ {text} }}" for patch, text in boundary.items())
     return HEAD.format(kind, name) + f"dimensions {dimensions}; internalField {inner}; boundaryField {{\n{rows}\n}}\n"
 
@@ -62,7 +63,7 @@ def write_case(folder, lengths, number, patches, viscosity, dt, steps, initial="
 
     def put(name, text, kind="dictionary"):
         (folder / name).write_text(HEAD.format(kind, Path(name).name) + text if kind == "dictionary" else text)
-    put("system/blockMeshDict", _block(lengths, number, {k: v[:3] for k, v in patches.items()}))
+    put("system/blockMeshDict", block_mesh(lengths, number, {k: v[:3] for k, v in patches.items()}))
     put("system/controlDict", f"application icoFoam; startFrom startTime; startTime 0; stopAt endTime; endTime {steps * dt:.12g}; "
         f"deltaT {dt:.12g}; writeControl timeStep; writeInterval {steps}; writeFormat ascii; writePrecision 12; "
         "timePrecision 12; runTimeModifiable no;\n")
@@ -70,13 +71,26 @@ def write_case(folder, lengths, number, patches, viscosity, dt, steps, initial="
     put("system/fvSolution", SOLUTION)
     put("system/decomposeParDict", f"numberOfSubdomains {ranks}; method simple; coeffs {{ n ({ranks} 1 1); }}\n")
     put("constant/transportProperties", f"nu [0 2 -1 0 0 0 0] {viscosity:.12g};\n")
-    put("0/U", _field("volVectorField", "U", "[0 1 -1 0 0 0 0]", initial, {k: v[3] for k, v in patches.items()}), "field")
-    put("0/p", _field("volScalarField", "p", "[0 2 -2 0 0 0 0]", "uniform 0", {k: v[4] for k, v in patches.items()}), "field")
+    put("0/U", field("volVectorField", "U", "[0 1 -1 0 0 0 0]", initial, {k: v[3] for k, v in patches.items()}), "field")
+    put("0/p", field("volScalarField", "p", "[0 2 -2 0 0 0 0]", "uniform 0", {k: v[4] for k, v in patches.items()}), "field")
 
 
 def vectors(values):
     """OpenFOAM's text of a list of vectors (cells, 2)."""
     return f"nonuniform List<vector> {len(values)} (\n" + "\n".join(f"({a:.14g} {b:.14g} 0)" for a, b in values) + "\n)"
+
+
+def environment():
+    """Variables that OpenFOAM runs with, without those of an mpirun around this."""
+    return {**{k: v for k, v in os.environ.items() if not k.startswith(("OMPI_", "PMIX_"))}, **SETTINGS}
+
+
+def call(command, folder):
+    """Run a part of OpenFOAM; returns what it printed."""
+    done = subprocess.run(command, cwd=folder, env=environment(), capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(command)} failed in {folder}: {(done.stderr or done.stdout)[-400:]}")
+    return done.stdout
 
 
 def run(folder, ranks=1):
@@ -87,12 +101,9 @@ def run(folder, ranks=1):
     """
     parallel = ["mpirun", "--oversubscribe", "--allow-run-as-root", "-n", str(ranks)]
     commands = [["blockMesh"]] + ([["decomposePar"], [*parallel, "icoFoam", "-parallel"]] if ranks > 1 else [["icoFoam"]])
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_", "PMIX_"))}  # of an mpirun around this
     for command in commands:
-        done = subprocess.run(command, cwd=folder, env={**clean, **SETTINGS}, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise RuntimeError(f"{' '.join(command)} failed in {folder}: {(done.stderr or done.stdout)[-400:]}")
-    return np.array([float(t) for t in re.findall(r"ExecutionTime = (\S+) s", done.stdout)])
+        text = call(command, folder)
+    return np.array([float(t) for t in re.findall(r"ExecutionTime = (\S+) s", text)])
 
 
 def final_velocity(folder, cells):

@@ -4,6 +4,7 @@ import json
 import pytest
 
 from demos import (
+    bed_against_dpmfoam,
     contact_speed,
     contacts_against_peers,
     contacts_only,
@@ -16,6 +17,7 @@ from demos import (
     own_weak_form,
     sedimenting_suspension,
     stability_map,
+    suspension_against_dpmfoam,
     time_scales,
 )
 
@@ -180,3 +182,64 @@ def test_contacts_against_peers_without_peers(folder, monkeypatch, capfd):
     speeds = [v for k, v in summary.items() if k.startswith("million_particle_steps_per_second_mixture")]
     assert len(speeds) == 1 and speeds[0] > 0.1
     assert "apt-get install liggghts" in capfd.readouterr().out
+
+
+def test_suspension_against_dpmfoam_without_it(folder, monkeypatch, capfd):
+    """Without DPMFoam it names the package and compares fe_el's schemes alone; momentum is kept; an unknown scheme is named."""
+    monkeypatch.setattr(suspension_against_dpmfoam.dpm_foam, "installed", lambda: False)
+    small = {"box": (24.0,) * 3, "cells": (3,) * 3, "coarse_graining": 2.0, "end_time": 0.01, "seeds": 2, "output": folder, "progress": False}
+    summary = suspension_against_dpmfoam.main(["conservative:0.5,1", "dpmfoam_explicit:0.1"], **small)
+    assert "apt-get install openfoam" in capfd.readouterr().out and not any("dpmfoam" in key for key in summary)
+    assert summary["drift_over_weight_conservative_1"] < 1e-12 and summary["against_small_step_conservative_0.5"] == 0
+    assert 0 < abs(summary["against_small_step_conservative_1"]) < 0.05
+    with pytest.raises(ValueError, match="'concervative:1'"):
+        suspension_against_dpmfoam.main(["concervative:1"], **small)
+
+
+def test_bed_against_dpmfoam_without_it(folder, monkeypatch, capfd):
+    """Without DPMFoam it names the package and times fe_el alone."""
+    monkeypatch.setattr(bed_against_dpmfoam.dpm_foam, "installed", lambda: False)
+    summary = bed_against_dpmfoam.main(slice=0.1, settle_time=2e-3, steps=3, output=folder, progress=False)
+    assert "apt-get install openfoam" in capfd.readouterr().out and "seconds_per_step_dpmfoam" not in summary
+    assert summary["seconds_per_step_fe_el"] > 0 and summary["particles"] == 2772 + 1794
+
+
+PEER_LOG = """Time = 1
+Current number of parcels = 2
+Current mass in system = 4
+Linear momentum = (0 0 -2)
+   3 move-collide subCycles
+ExecutionTime = 0.1 s  ClockTime = 0 s
+"""
+
+
+def test_cases_for_dpm_foam_and_its_log(folder, monkeypatch):
+    """All files of both cases; a log is read, and a run is stopped when it blows up or fails."""
+    from pathlib import Path
+
+    import numpy as np
+    position = np.array([[1e-3, 2e-3, 3e-3], [1e-2, 5e-3, 4e-3]])
+    bed_against_dpmfoam.write_peer(folder + "/bed", position, np.array([1.5e-3, 2.5e-3]), 1.3, 0.2, 1e-4, 5, 0.005, 20)
+    text = {p.name: p.read_text() for p in Path(folder + "/bed").rglob("*") if p.is_file()}
+    assert set(text) == {"blockMeshDict", "controlDict", "fvSchemes", "fvSolution", "g", "transportProperties", "turbulenceProperties.air",
+                         "kinematicCloudProperties", "small", "large", "U.air", "p", "HdotGradH"}
+    assert "(6 3 90)" in text["blockMeshDict"] and "(0.01 0.005 0.004)" in text["large"] and "endTime 0.0005;" in text["controlDict"]
+    assert "value 0.0025;" in text["kinematicCloudProperties"] and "(0 0 -9.81)" in text["g"]
+    scene = error_against_run_time.suspension("conservative", (24.0,) * 3, (3,) * 3, 1, coarse_graining=2.0)
+    monkeypatch.setattr(suspension_against_dpmfoam.dpm_foam, "call", lambda command, where: "")
+    (Path(folder) / "DPMFoam").write_text(f"#!/bin/sh\nprintf '%s' '{PEER_LOG}'\nmkdir -p postProcessing/velocity/0\n"
+                                          "printf '# Time\\n1 (0 0 0.25)\\n' > postProcessing/velocity/0/volFieldValue.dat\n")
+    (Path(folder) / "DPMFoam").chmod(0o755)
+    import os
+    monkeypatch.setenv("PATH", folder + os.pathsep + os.environ["PATH"])
+    history, drift, stable, _ = suspension_against_dpmfoam.peer_history("explicit", 1.0, scene, (4, 4, 4), 2.0, 1e-3, folder + "/suspension")
+    solid, rho = scene.solid, suspension_against_dpmfoam.GAS_DENSITY
+    assert stable and history[-1].tolist() == [1.0, 0.75]  # of 0.25 less -2 / 4
+    assert drift == pytest.approx(abs(solid * 1500 * -0.5 + (1 - solid) * rho * 0.25) / (solid * 1500 * 9.81 * 1e-3))
+    assert "nParticle 8;" in Path(folder + "/suspension/constant/kinematicCloudProperties").read_text()
+    out = bed_against_dpmfoam.dpm_foam.run(folder + "/bed")
+    assert out["stopped"] is None and out["sub_steps"] == [3] and out["parcels"] == [2]
+    assert "above 0.4 m/s" in bed_against_dpmfoam.dpm_foam.run(folder + "/bed", fastest=0.4)["stopped"]
+    assert "above 0 s" in bed_against_dpmfoam.dpm_foam.run(folder + "/bed", limit=0.0)["stopped"]
+    (Path(folder) / "DPMFoam").write_text("#!/bin/sh\nexit 1\n")
+    assert "DPMFoam failed" in bed_against_dpmfoam.dpm_foam.run(folder + "/bed")["stopped"]

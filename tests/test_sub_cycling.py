@@ -5,6 +5,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 import fe_el
+from demos import error_against_run_time
 from demos.error_against_run_time import slip_history
 from demos.sedimenting_suspension import Suspension
 
@@ -58,11 +59,12 @@ def test_energy_of_a_closed_system_never_grows(dt_star):
 
 def test_large_steps_are_more_accurate():
     """At eight fluid relaxation times a step: less than half the error, against a step of 0.1."""
-    common = (4, 32.0, None, 0.03, 1)
-    reference = slip_history("conservative", 0.1, *common)[0]
+    def run(scheme, dt_star):
+        return slip_history(error_against_run_time.suspension(scheme, (32.0,) * 3, (4,) * 3, 1), dt_star, 0.03)
+    reference = run("conservative", 0.1)[0]
 
     def error(scheme):
-        history, drift, stable, _ = slip_history(scheme, 8.0, *common)
+        history, drift, stable, _ = run(scheme, 8.0)
         exact = np.interp(history[:, 0], reference[:, 0], reference[:, 1])
         assert stable and drift < 1e-10
         return np.sqrt(np.mean((history[1:, 1] / exact[1:] - 1) ** 2))
