@@ -14,7 +14,7 @@ class LawNumbers(NamedTuple):
     rolls: int  #: 0 no rolling friction, 1 constant torque, 2 elastic-plastic, 3 and 4 the same with torsion
     cohesive: bool
     needs_radius: bool
-    table: np.ndarray  #: (materials, materials, 7)
+    table: np.ndarray  #: (materials, materials, 8), the last one not used
 
 
 class RollingFriction:
@@ -68,7 +68,7 @@ class _Law:
         require_not_negative("friction", friction)
         require_not_negative("cohesion energy density", cohesion)
         self.materials = materials
-        self.table = np.zeros((materials, materials, 7))
+        self.table = np.zeros((materials, materials, 8))
         log = np.abs(np.log(pair_table("restitution", e, materials)))
         self.damping = 2 * log / np.hypot(np.pi, log)
         self.table[:, :, 2] = pair_table("friction", friction, materials)

@@ -74,11 +74,12 @@ class ContactLists:
         if self.rebuilds % SORT_EVERY == 0 or layout is None:
             kept = self._sort(kept, largest + self.skin)
         self.ghosts = Ghosts(comm, p.position, largest + self.skin, p.period)
+        x, pairs = self._pairs()
         self.radius, self.inverse_mass = self.ghosts.grow(p.diameter / 2), self.ghosts.grow(1 / p.mass)
-        self.ids, self.material = self.ghosts.grow(p.id), self.ghosts.grow(p.material)
+        self.ids, self.material = self.ghosts.grow(p.id), self.ghosts.grow(p.material).view(np.uint32)
         self.x, (self.state, self.force) = np.empty((len(self.radius), 3)), (aligned(len(self.radius), 8) for _ in range(2))
         self.state[:, 0], self.state[:, 7] = self.radius, self.inverse_mass / self.radius
-        self._lists(kept, step)
+        self._lists(x, pairs, kept, step)
         self.x0, self.age = p.position.copy(), 0
         self.rebuilds += 1
 
@@ -113,7 +114,7 @@ class ContactLists:
         p = self.particles
         if not len(p):
             return kept
-        order = np.lexsort((p.id, neighbours.morton_code(p.position, p.position.min(0), 2 * size)))
+        order = np.lexsort((p.id, neighbours.morton_code(p.position, neighbours.bounds(p.position)[0], 2 * size)))
         place = np.empty_like(order)
         place[order] = np.arange(len(order))
         p.select(order)
@@ -125,10 +126,9 @@ class ContactLists:
         if self.springs is None:
             kept, self.restored = self.restored or [none] * 3, None  # of a checkpoint
             return kept
-        n, out, empty = self.ghosts.owned, [], np.zeros(0, np.uint32)
-        for k, (first, partner) in enumerate(self._partners()):
-            out.append(neighbours.collect_springs(first, partner, self.springs[k], self.stamps[k] == step, k == 0,
-                                                  self.second if k == 0 else empty, n, self.ids))
+        n = self.ghosts.owned
+        out = [neighbours.collect_springs(*where, self.springs[k], self.stamps[k], step, k == 0, n, self.ids)
+               for k, where in enumerate(self._partners())]
         return out if layout == self.particles.layout else [self._renumber(*kept) for kept in out]
 
     def _renumber(self, particle, partner, spring):
@@ -142,9 +142,10 @@ class ContactLists:
         return row[particle[keep]], partner[keep], spring[keep]
 
     def _partners(self):
-        """First particle and the partner's lasting number, of each list."""
-        return ((self.first, self.ids[self.second]), (self.wall_particle, self.wall_facet.astype(np.int64)),
-                (self.shape_particle, self.shape_wall.astype(np.int64)))
+        """First particle, the other's place, and lasting numbers of all others, of each list."""
+        walls = np.arange(len(self.facet_rows[2])), np.arange(len(self.walls))
+        return ((self.first, self.second, self.ids), (self.wall_particle, self.wall_facet, walls[0]),
+                (self.shape_particle, self.shape_wall, walls[1]))
 
     def _move_springs(self, kept, destination, ids_before):
         """Send the springs of particles that changed rank after them."""
@@ -160,13 +161,22 @@ class ContactLists:
                         np.concatenate([spring[~go], stretch])))
         return out
 
-    def _lists(self, kept, step):
-        """Pairs, facets and shapes near each particle, with the kept springs."""
-        p = self.particles
-        x, n = self.ghosts.grow(p.position), len(p)
+    def _pairs(self):
+        """Positions and pairs with the ghosts that have a partner here; the others are given up."""
+        p, n = self.particles, len(self.particles)
+        x = self.ghosts.grow(p.position)
         x[n:] += self.ghosts.shift
-        pairs = neighbours.neighbour_pairs(x, self.radius, n, self.skin)
-        self.first, self.second = (a.view(np.uint32) for a in pairs)  # without a sign no index is checked for being negative
+        first, second = neighbours.neighbour_pairs(x, self.ghosts.grow(p.diameter / 2), n, self.skin)
+        used = np.zeros(len(x), bool)
+        used[:n] = True
+        used[second] = True
+        self.ghosts.keep(used[n:])
+        return x[used], (first, (np.cumsum(used) - 1).astype(np.uint32)[second])
+
+    def _lists(self, x, pairs, kept, step):
+        """Pairs, facets and shapes near each particle, with the kept springs."""
+        p, n = self.particles, len(self.particles)
+        self.first, self.second = pairs
         self.gap = neighbours.gaps(x, self.radius, self.first, self.second)
         empty = np.zeros(0, np.uint32)
         self.wall_particle = self.wall_facet = self.shape_particle = self.shape_wall = empty
@@ -180,8 +190,8 @@ class ContactLists:
         self.listed, self.wall_listed = (np.empty(len(a) + 1, np.uint32) for a in (self.gap, self.wall_gap))
         self.near = (-1.0, 0, 0)  # see update_near
         self.springs, self.stamps = [], []
-        for (first, partner), old in zip(self._partners(), kept):
-            spring, live = aligned(len(first), self.width), np.zeros(len(first), np.bool_)
-            neighbours.restore_springs(first, partner, n, *old, spring, live)
+        for where, old in zip(self._partners(), kept):
+            spring, stamp = aligned(len(where[0]), self.width), np.empty(len(where[0]), np.int32)
+            neighbours.restore_springs(*where, n, *old, step, spring, stamp)
             self.springs.append(spring)
-            self.stamps.append(np.where(live, step, -2).astype(np.int32))
+            self.stamps.append(stamp)

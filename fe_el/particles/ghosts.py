@@ -4,6 +4,8 @@ import itertools
 import numpy as np
 from numba import njit
 
+from fe_el.particles.neighbours import bounds
+
 
 @njit(cache=True)
 def _inside(position, lower, upper):
@@ -56,7 +58,8 @@ class Ghosts:
         self.comm, n = comm, len(position)
         steps = [(-1, 0, 1) if period is not None and period[k] > 0 else (0,) for k in range(3)]
         offsets = [np.array(o, float) * (0 if period is None else period) for o in itertools.product(*steps)]
-        box = (position.min(0) - reach, position.max(0) + reach) if n else (np.full(3, np.inf), np.full(3, -np.inf))
+        low, high, _ = bounds(position)
+        box = (low - reach, high + reach)  # of no particles: from infinity to minus infinity
         self.send, shifts = [], []
         for rank, (lower, upper) in enumerate(comm.allgather(box)):
             rows, moved = [np.zeros(0, np.int64)], [np.zeros((0, 3))]
@@ -68,14 +71,25 @@ class Ghosts:
                 moved.append(np.tile(offset, (len(inside), 1)))
             self.send.append(np.concatenate(rows))
             shifts.append(np.concatenate(moved))
-        arrived = comm.alltoall(shifts)
-        self.shift = np.concatenate(arrived)
-        self.counts, self.number, self.owned = [len(a) for a in arrived], len(self.shift), n
+        self._arrange(n, comm.alltoall(shifts))
+
+    def _arrange(self, owned, shifts):
+        """Counts, places and buffers for ghosts with the given shifts, one array from each rank."""
+        self.shift, self.counts = np.concatenate(shifts), [len(a) for a in shifts]
+        self.number, self.owned = len(self.shift), owned
         self.busy = self.number > 0 or any(len(rows) for rows in self.send)
-        ends = n + np.cumsum(self.counts)
+        ends = owned + np.cumsum(self.counts)
         self.receive = [slice(e - c, e) for e, c in zip(ends, self.counts)]
         self.buffers = [(np.empty((len(rows), 9)), np.empty((c, 9))) for rows, c in zip(self.send, self.counts)]
-        self.images = (self.send[comm.rank], self.buffers[comm.rank][0], self.shift)  # of this rank's own particles
+        me = self.comm.rank
+        self.images = (self.send[me], self.buffers[me][0], self.shift)  # of this rank's own particles
+
+    def keep(self, used):
+        """Give up the ghosts that are not ``used`` (ghosts,), here and where they come from. Collective."""
+        ends = np.cumsum(self.counts)[:-1]
+        wanted = self.comm.alltoall(np.split(used, ends))
+        self.send = [rows[kept] for rows, kept in zip(self.send, wanted)]
+        self._arrange(self.owned, [shift[kept] for shift, kept in zip(np.split(self.shift, ends), np.split(used, ends))])
 
     def grow(self, array):
         """A copy of an owned array with the ghosts' values behind it."""

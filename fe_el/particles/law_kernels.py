@@ -49,10 +49,10 @@ def new_block():
 def geometry(b, m):
     """Rows 0-2 become the normal, 3 the distance, 4 the overlap, 6-8 the velocity at the contact, 9 the arm fraction, 10 v_n."""
     for n in range(m):
-        inverse = 1.0 / math.sqrt(b[n + 3 * B])
-        r = b[n + 3 * B] * inverse
+        r = math.sqrt(b[n + 3 * B])
+        both = 1.0 / (r * b[n + 4 * B])  # one division for two: they and the roots take most of the time
+        inverse, q = both * b[n + 4 * B], both * b[n + 3 * B]
         nx, ny, nz = b[n] * inverse, b[n + B] * inverse, b[n + 2 * B] * inverse
-        q = r / b[n + 4 * B]
         wx, wy, wz = q * b[n + 9 * B], q * b[n + 10 * B], q * b[n + 11 * B]
         ux = b[n + 6 * B] - (wy * nz - wz * ny)
         uy = b[n + 7 * B] - (wz * nx - wx * nz)
@@ -113,10 +113,11 @@ def tangential(b, m, h):
         sx, sy, sz = sx - sn * nx + h * tx, sy - sn * ny + h * ty, sz - sn * nz + h * tz
         fx, fy, fz = -kt * sx - et * tx, -kt * sy - et * ty, -kt * sz - et * tz
         cap = b[n + 19 * B] * b[n + 19 * B] * fn * fn
-        size = fx * fx + fy * fy + fz * fz + 1e-300
-        stretch = (sx * sx + sy * sy + sz * sz) * kt * kt + 1e-300
-        qf = math.sqrt(min(1.0, cap / size))
-        qs = math.sqrt(min(1.0, cap / stretch))
+        size = fx * fx + fy * fy + fz * fz + 1e-140
+        stretch = (sx * sx + sy * sy + sz * sz) * kt * kt + 1e-140
+        both = cap / (size * stretch)
+        qf = math.sqrt(min(1.0, both * stretch))
+        qs = math.sqrt(min(1.0, both * size))
         qs = qs if size > cap else 1.0
         fx, fy, fz = qf * fx, qf * fy, qf * fz
         b[n + 13 * B] = qs * sx

@@ -6,8 +6,6 @@ and the coarser ones, so the cost follows the number of neighbours however wide 
 import numpy as np
 from numba import njit
 
-NONE = np.uint32(2 ** 32 - 1)  # behind the last particle of a box; without a sign no index is checked for being negative
-
 
 @njit(cache=True)
 def morton_code(x, lower, size):
@@ -22,87 +20,148 @@ def morton_code(x, lower, size):
 
 
 @njit(cache=True)
-def _classes(radius, smallest, count):
-    """Size class of each particle, and the largest radius of each class."""
-    level, largest = np.empty(len(radius), np.int32), np.zeros(count)
-    for i in range(len(radius)):
-        level[i] = min(int(np.log2(radius[i] / smallest * (1 + 1e-12))), count - 1)
-        largest[level[i]] = max(largest[level[i]], radius[i])
-    return level, largest
+def bounds(x):
+    """Least and largest coordinates, and their difference, each (3,)."""
+    out = np.empty((3, 3))
+    for k in range(3):
+        low, high = np.inf, -np.inf
+        for i in range(len(x)):
+            low, high = min(low, x[i, k]), max(high, x[i, k])
+        out[0, k], out[1, k], out[2, k] = low, high, high - low
+    return out
 
 
 @njit(cache=True)
-def _search(x, radius, level, owned, skin, lower, size, shape, offset, first, second):
-    """Fill the pairs closer than the skin, the first one owned; returns their number (beyond the capacity: only counted)."""
-    m, grids = len(x), len(size)
-    head, following = np.full(offset[grids], NONE, np.uint32), np.empty(m, np.uint32)
-    for i in range(m - 1, -1, -1):
-        g, b = level[i], 0
-        for k in range(3):
-            b = b * shape[g, k] + min(max(int((x[i, k] - lower[k]) / size[g]), 0), shape[g, k] - 1)
-        b += offset[g]
-        following[i], head[b] = head[b], i
-    number, at = 0, np.empty(3, np.int64)
+def _classes(radius, smallest, count):
+    """Size class of each particle, numbered without the empty ones, and the largest radius of each class."""
+    level, largest, number = np.empty(len(radius), np.int32), np.zeros(count), np.zeros(count, np.int32)
+    for i in range(len(radius)):
+        level[i] = min(int(np.log2(radius[i] / smallest * (1 + 1e-12))), count - 1) if count > 1 else 0
+        largest[level[i]] = max(largest[level[i]], radius[i])
+    there = largest > 0
+    for k in range(1, count):
+        number[k] = number[k - 1] + there[k - 1]
+    for i in range(len(radius)):
+        level[i] = number[level[i]]
+    return level, largest[there]
+
+
+@njit(cache=True)
+def _box(x, i, lower, size, shape, g):
+    """Indices of the box of a grid that holds particle i."""
+    return (min(max(int((x[i, 0] - lower[0]) / size[g]), 0), shape[g, 0] - 1),
+            min(max(int((x[i, 1] - lower[1]) / size[g]), 0), shape[g, 1] - 1),
+            min(max(int((x[i, 2] - lower[2]) / size[g]), 0), shape[g, 2] - 1))
+
+
+@njit(cache=True)
+def _sorted_by_box(x, radius, level, lower, size, shape, offset):
+    """Particles in the order of their boxes, their positions and radii, and where the particles of each box begin."""
+    m = len(x)
+    start, box = np.zeros(offset[-1] + 1, np.uint64), np.empty(m, np.uint64)
+    order, rows = np.empty(m, np.uint32), np.empty((m, 4))
     for i in range(m):
-        for g in range(level[i], grids):
-            for k in range(3):
-                at[k] = min(max(int((x[i, k] - lower[k]) / size[g]), 0), shape[g, k] - 1)
-            same = g == level[i]  # within a class half of the boxes around will do
-            for a in range(at[0] if same else max(at[0] - 1, 0), min(at[0] + 2, shape[g, 0])):
-                for b in range(at[1] if same and a == at[0] else max(at[1] - 1, 0), min(at[1] + 2, shape[g, 1])):
-                    half = same and a == at[0] and b == at[1]
-                    for c in range(at[2] if half else max(at[2] - 1, 0), min(at[2] + 2, shape[g, 2])):
-                        j, own = head[offset[g] + (a * shape[g, 1] + b) * shape[g, 2] + c], half and c == at[2]
-                        while j != NONE:
-                            if (j > i or not own) and (i < owned or j < owned):
-                                dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
-                                reach = radius[i] + radius[j] + skin
-                                if dx * dx + dy * dy + dz * dz < reach * reach:
-                                    if number < len(first):
-                                        swap = i >= owned
-                                        first[number], second[number] = (j, i) if swap else (i, j)
-                                    number += 1
-                            j = following[j]
+        g = level[i]
+        a, b, c = _box(x, i, lower, size, shape, g)
+        box[i] = offset[g] + (a * shape[g, 1] + b) * shape[g, 2] + c
+        start[box[i] + np.uint64(1)] += np.uint64(1)
+    for k in range(offset[-1]):
+        start[k + 1] += start[k]
+    at = start.copy()
+    for i in range(m):
+        n = at[box[i]]
+        at[box[i]] = n + np.uint64(1)
+        order[n], rows[n, 0], rows[n, 1], rows[n, 2], rows[n, 3] = i, x[i, 0], x[i, 1], x[i, 2], radius[i]
+    return order, rows, start
+
+
+@njit(cache=True)
+def _pairs_with(n, begin, end, rows, order, owned, skin, first, second, number):
+    """Pairs of entry n with the entries from begin to end; returns the number of pairs so far."""
+    x, y, z, reach, i = rows[n, 0], rows[n, 1], rows[n, 2], rows[n, 3] + skin, order[n]
+    for k in range(begin, end):
+        dx, dy, dz, r = rows[k, 0] - x, rows[k, 1] - y, rows[k, 2] - z, rows[k, 3] + reach
+        if dx * dx + dy * dy + dz * dz < r * r:
+            j = order[k]
+            if i < owned or j < owned:
+                if number < len(first):
+                    first[number], second[number] = (i, j) if i < owned else (j, i)
+                number += 1
+    return number
+
+
+@njit(cache=True)
+def _search(x, order, rows, start, owned, skin, lower, size, shape, offset, first, second):
+    """Fill the pairs closer than the skin, the first one owned; returns their number (beyond the capacity: only counted).
+
+    Boxes that follow each other in the last direction follow each other in memory: their particles are one range.
+    """
+    number, begin, end = 0, np.empty(9, np.uint64), np.empty(9, np.uint64)
+    one = np.uint64(1)
+    for g in range(len(size)):
+        for box in range(offset[g], offset[g + 1]):
+            if start[box] == start[box + 1]:
+                continue
+            line, c = (box - offset[g]) // shape[g, 2], (box - offset[g]) % shape[g, 2]
+            a, b = line // shape[g, 1], line % shape[g, 1]
+            low, high, lines = max(c - 1, 0), min(c + 2, shape[g, 2]), 0
+            for da, db in ((0, 1), (1, -1), (1, 0), (1, 1)):  # within a class half of the boxes around will do
+                if a + da < shape[g, 0] and 0 <= b + db < shape[g, 1]:
+                    at = offset[g] + ((a + da) * shape[g, 1] + b + db) * shape[g, 2]
+                    begin[lines], end[lines] = start[at + low], start[at + high]
+                    lines += 1
+            for n in range(start[box], start[box + 1]):
+                number = _pairs_with(n, n + one, start[box - c + high], rows, order, owned, skin, first, second, number)
+                for k in range(lines):
+                    number = _pairs_with(n, begin[k], end[k], rows, order, owned, skin, first, second, number)
+                for coarse in range(g + 1, len(size)):
+                    p, q, r = _box(rows, n, lower, size, shape, coarse)
+                    low_r, high_r = max(r - 1, 0), min(r + 2, shape[coarse, 2])
+                    for i in range(max(p - 1, 0), min(p + 2, shape[coarse, 0])):
+                        for j in range(max(q - 1, 0), min(q + 2, shape[coarse, 1])):
+                            at = offset[coarse] + (i * shape[coarse, 1] + j) * shape[coarse, 2]
+                            number = _pairs_with(n, start[at + low_r], start[at + high_r], rows, order, owned, skin, first, second,
+                                                 number)
     return number
 
 
 @njit(cache=True)
 def _by_first(first, second, owned):
     """The pairs in the order of their first particle."""
-    start = np.zeros(owned + 1, np.int64)
-    for i in first:
-        start[i + 1] += 1
+    start = np.zeros(owned + 1, np.uint32)
+    for k in range(len(first)):
+        start[first[k] + np.uint32(1)] += np.uint32(1)
     for i in range(owned):
         start[i + 1] += start[i]
     a, b = np.empty_like(first), np.empty_like(second)
     for k in range(len(first)):
         n = start[first[k]]
         a[n], b[n] = first[k], second[k]
-        start[first[k]] += 1
+        start[first[k]] = n + np.uint32(1)
     return a, b
 
 
 def neighbour_pairs(x, radius, owned, skin):
     """Pairs (first, second) closer than the skin, each once, the first one owned, in the order of the first."""
-    empty = np.empty(0, np.int32)
     if owned == 0:
-        return empty, empty
-    count = int(np.log2(radius.max() / radius.min() * (1 + 1e-12))) + 1
-    level, largest = _classes(radius, radius.min(), count)
-    lower, extent = x.min(0), np.ptp(x, 0)
-    size = 2 * np.maximum(largest, radius.min()) + skin
-    shape = np.empty((count, 3), np.int64)
-    for g in range(count):
+        return np.empty(0, np.uint32), np.empty(0, np.uint32)
+    smallest, biggest = radius.min(), radius.max()
+    level, largest = _classes(radius, smallest, int(np.log2(biggest / smallest * (1 + 1e-12))) + 1)
+    lower, _, extent = bounds(x)
+    size = 2 * largest + skin
+    shape = np.empty((len(size), 3), np.int64)
+    for g in range(len(size)):
         while (extent / size[g] + 1).prod() > 4 * len(x) + 64:  # sparse clouds: no more boxes than particles need
             size[g] *= 1.3
         shape[g] = (extent / size[g]).astype(np.int64) + 1
     offset = np.concatenate([[0], np.cumsum(shape.prod(1))])
+    cloud = _sorted_by_box(x, radius, level, lower, size, shape, offset)
     capacity = 6 * len(x) + 64
-    first, second = np.empty(capacity, np.int32), np.empty(capacity, np.int32)
-    number = _search(x, radius, level, owned, skin, lower, size, shape, offset, first, second)
+    first, second = np.empty(capacity, np.uint32), np.empty(capacity, np.uint32)
+    number = _search(x, *cloud, owned, skin, lower, size, shape, offset, first, second)
     if number > capacity:
-        first, second = np.empty(number, np.int32), np.empty(number, np.int32)
-        _search(x, radius, level, owned, skin, lower, size, shape, offset, first, second)
+        first, second = np.empty(number, np.uint32), np.empty(number, np.uint32)
+        _search(x, *cloud, owned, skin, lower, size, shape, offset, first, second)
     return _by_first(first[:number], second[:number], owned)
 
 
@@ -118,40 +177,47 @@ def gaps(x, radius, first, second):
 
 
 @njit(cache=True)
-def collect_springs(first, partner_id, spring, live, mirror, second, owned, ids):
-    """Springs of the live contacts: (particle, partner's id, spring), for both partners where ``mirror`` is set."""
-    number = 0
+def collect_springs(first, second, partner_id, spring, stamp, step, mirror, owned, ids):
+    """Springs of the contacts of this step: (particle, partner's id, spring), for both partners where ``mirror`` is set."""
+    number, width = 0, spring.shape[1]
     for k in range(len(first)):
-        if live[k]:
+        if stamp[k] == step:
             number += 2 if mirror and second[k] < owned else 1
-    particle, partner = np.empty(number, np.int64), np.empty(number, np.int64)
-    stretch, n = np.empty((number, spring.shape[1])), 0
+    particle, partner = np.empty(number, np.uint32), np.empty(number, np.int64)
+    stretch, n = np.empty((number, width)), np.uint64(0)
     for k in range(len(first)):
-        if live[k]:
-            particle[n], partner[n], stretch[n] = first[k], partner_id[k], spring[k]
-            n += 1
+        if stamp[k] == step:
+            particle[n], partner[n] = first[k], partner_id[second[k]]
+            for q in range(width):
+                stretch[n, q] = spring[k, q]
+            n += np.uint64(1)
             if mirror and second[k] < owned:
-                particle[n], partner[n], stretch[n] = second[k], ids[first[k]], -spring[k]
+                particle[n], partner[n] = second[k], ids[first[k]]
+                for q in range(width):
+                    stretch[n, q] = -spring[k, q]
                 stretch[n, 3] = spring[k, 3]  # the normal velocity is the same from both sides
-                n += 1
+                n += np.uint64(1)
     return particle, partner, stretch
 
 
 @njit(cache=True)
-def restore_springs(first, partner_id, owned, particle, partner, stretch, spring, live):
-    """Copy collected springs to the contacts of a new list and mark these as live."""
-    start = np.zeros(owned + 1, np.int64)
-    for i in particle:
-        start[i + 1] += 1
+def restore_springs(first, second, partner_id, owned, particle, partner, stretch, step, spring, stamp):
+    """Copy collected springs to the contacts of a new list, and stamp these as of this step and the others as older."""
+    one, width = np.uint32(1), spring.shape[1]
+    start, order = np.zeros(owned + 1, np.uint32), np.empty(len(particle), np.uint32)
+    for k in range(len(particle)):
+        start[particle[k] + one] += one
     for i in range(owned):
         start[i + 1] += start[i]
-    order, at = np.empty(len(particle), np.int64), start.copy()
+    at = start.copy()
     for k in range(len(particle)):
-        order[at[particle[k]]] = k
-        at[particle[k]] += 1
+        n = at[particle[k]]
+        order[n], at[particle[k]] = k, n + one
     for k in range(len(first)):
-        i = first[k]
-        for s in range(start[i], start[i + 1]):
-            if partner[order[s]] == partner_id[k]:
-                spring[k] = stretch[order[s]]
-                live[k] = True
+        i, wanted = first[k], partner_id[second[k]]
+        stamp[k] = -2
+        for s in range(start[i], start[i + one]):
+            if partner[order[s]] == wanted:
+                for q in range(width):
+                    spring[k, q] = stretch[order[s], q]
+                stamp[k] = step

@@ -55,13 +55,21 @@ def gather_rolling(b, m, at, first, second, state, spring):
 
 
 @njit(cache=True, fastmath=FAST)
-def gather_material(b, m, at, first, second, material, table):
-    """Rows of the material table, where pairs differ in it."""
-    for n in range(m):
-        one, other = material[first[at[n]]], material[second[at[n]]]
-        for q in range(5):
-            b[n + (17 + q) * B] = table[one, other, q]
-        b[n + 29 * B], b[n + 30 * B] = table[one, other, 5], table[one, other, 6]
+def gather_material(b, m, at, first, second, material, numbers):
+    """Rows of the material table, where pairs differ in it; rows 22 to 24 are overwritten."""
+    table, width = numbers.table, np.uint64(numbers.table.shape[1])
+    flat, one = table.reshape(table.size), (1.0, 1.0, 1.0, 1.0)
+    rest = flat[4:]
+    for n in range(0, m, 4):
+        k = at[n], at[n + 1], at[n + 2], at[n + 3]
+        i, j = four_of(material, four_of(first, k)), four_of(material, four_of(second, k))
+        row = i[0] * width + j[0], i[1] * width + j[1], i[2] * width + j[2], i[3] * width + j[3]
+        scaled_to_block(b, n + 17 * B, flat, 8, row, one)
+        scaled_to_block(b, n + 21 * B, rest, 8, row, one)
+    if numbers.rolls > 0 or numbers.cohesive:
+        for n in range(m):
+            i, j = material[first[at[n]]], material[second[at[n]]]
+            b[n + 29 * B], b[n + 30 * B] = table[i, j, 5], table[i, j, 6]
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -148,10 +156,10 @@ def pair_forces(x, state, force, radius, material, near, first, second, spring, 
         m, n = next_block(b, at, x, radius, near, first, second, n)
         full = fill_up(b, m, at)
         gather(b, full, at, first, second, state, spring, stamp, step)
+        if not uniform:
+            gather_material(b, full, at, first, second, material, numbers)
         if numbers.rolls > 0:
             gather_rolling(b, full, at, first, second, state, spring)
-        if not uniform:
-            gather_material(b, full, at, first, second, material, numbers.table)
         if numbers.needs_radius:
             reduced_radius(b, full)
         apply_law(b, full, h, numbers)
