@@ -224,3 +224,28 @@ def test_bad_walls_are_refused():
                         ("point", lambda: fe_el.PlaneWall((0, np.nan, 0), (0, 0, 1)))):
         with pytest.raises(ValueError, match=words):
             make()
+
+
+def test_a_sphere_over_hundreds_of_facets():
+    """Its one contact is found among more than five hundred facets below it."""
+    mesh, tags = fe_el.box((0.004, 0.004, 0.02), (32, 32, 1))
+    target, direction = np.array([0.00202, 0.00199, D / 2]), (0.1, 0.05, -1.0)
+    runs = []
+    for wall in (fe_el.PlaneWall((0, 0, 0), (0, 0, 1)), (tags, 5)):
+        p = fe_el.Particles(mesh, RHO)
+        p.insert_at([target + (0, 0, 1e-5)], D, velocity=0.5 * np.array(direction))
+        c = fe_el.Contacts(p, fe_el.LinearSpringDashpot(20.0, 0.9, 0.3), wall, steps_per_contact=STEPS)
+        p.advance(1e-3, c)
+        runs.append((p.position[0], p.velocity[0], p.angular_velocity[0], c.largest_overlap))
+    assert len(c.lists.wall_facet) > 500
+    assert runs[0][3] > 0.1 and all(np.allclose(a, b, rtol=1e-6, atol=1e-9) for a, b in zip(*runs))
+
+
+@pytest.mark.parametrize("position", [(0.01, 0.01, 0.0), (1e-4, 0.01, 0.0)])
+def test_a_centre_on_a_facet_is_an_error_from_the_first_force_on(position):
+    """Also where other facets are nearby: the message names the particle and the remedy."""
+    mesh, tags = fe_el.box((0.02, 0.02, 0.02), (2, 2, 2))
+    p = fe_el.Particles(mesh, RHO)
+    p.insert_at([(0.01, 0.005, 0.01), position], D, velocity=(0, 0, 0.1))
+    with pytest.raises(fe_el.LostParticle, match="particle 1 .*stiffer"):
+        p.advance(1e-5, fe_el.Contacts(p, LAW, (tags, (1, 5))))

@@ -27,12 +27,12 @@ class ContactLists:
         self.skin, self.age, self.rebuilds, self._reach, self._cells = skin, 0, 0, -1.0, None
         parts = [(_mesh.boundary_facets(particles.mesh, w.facet_tags, w.groups), k) for k, w in enumerate(walls)
                  if w.kind == FACETS]
-        self.facets, self.facet_rows = None, (np.zeros((0, 3, 3)), np.zeros((0, 3), np.uint32), np.zeros(0, np.uint32))
+        self.facets, self.facet_rows = None, (np.zeros((0, 3, 3)), np.zeros((0, 3), np.uint32), np.zeros(0, np.uint32), np.zeros((0, 12)))
         if parts:
             self.facets = tuple(np.concatenate([f[i] for f, _ in parts]) for i in range(3))
             self.balls = _walls.facet_balls(self.facets[0])
             wall = np.concatenate([np.full(len(f[2]), k, np.uint32) for f, k in parts])
-            self.facet_rows = (self.facets[0], self.facets[1].astype(np.uint32), wall)
+            self.facet_rows = (self.facets[0], self.facets[1].astype(np.uint32), wall, _walls.facet_frames(self.facets[0]))
         self.kind = np.array([w.kind for w in walls] or [FACETS], np.int64)
         self.shape = np.array([getattr(w, "shape", np.zeros(4)) for w in walls] or [np.zeros(4)])
         self.motion = np.array([w.motion() for w in walls] or [np.zeros(9)])

@@ -190,6 +190,7 @@ class Contacts:
         p.contact_force, p.contact_torque = np.zeros((n, 3)), np.zeros((n, 3))
         x, _, force = self.lists.pack(p.contact_force)
         self._forces(0.0, 0.0)
+        self._check_behind()
         self._check_finite(x[:n], force)
         p.contact_force, p.contact_torque = force[:n, :3].copy(), force[:n, 4:7].copy()
 

@@ -3,8 +3,8 @@ import numpy as np
 from numba import njit
 
 from fe_el.checks import require_positive
-from fe_el.particles.law_kernels import BLOCK, FAST, constant_rows
-from fe_el.particles.walls import finish_block, gather_wall
+from fe_el.particles.law_kernels import BLOCK, FAST
+from fe_el.particles.wall_blocks import add_contact, finish_block, new_contacts
 
 PLANE, CYLINDER, FACETS = 0, 1, 2
 
@@ -117,27 +117,20 @@ def shape_list(x, radius, owned, skin, kind, shape, motion):
 def shape_forces(x, state, force, radius, inverse_mass, material, particle, wall, spring, stamp, step, kind, shape,
                  motion, wall_material, wall_force, deepest, b, numbers, h):
     """Add the contact forces of planes and cylinders; returns the number of contacts, or -1 - i where i is behind one."""
-    touching, m, bad = 0, 0, 0
-    who, at, wall_of = np.empty(BLOCK, np.uint64), np.empty(BLOCK, np.uint64), np.empty(BLOCK, np.uint64)
-    uniform = constant_rows(b, numbers)
-    for k in range(len(particle)):
+    touching, m, bad, contacts, total = 0, 0, 0, new_contacts(), len(particle)
+    for k in range(total):
         i, n = particle[k], wall[k]
         px, py, pz, distance = _surface_point(kind[n], shape[n], motion[n], x[i, 0], x[i, 1], x[i, 2])
         if distance < radius[i]:
             if not distance > 0:
-                bad = -1 - i
-            who[m], at[m], wall_of[m] = i, k, n
-            gather_wall(b, m, i, px, py, pz, motion[n], x, state, radius, inverse_mass, spring, k,
-                        1.0 if stamp[k] == step - 1 else 0.0, numbers)
-            stamp[k] = step
+                bad = -1 - np.int64(i)
+            add_contact(b, m, contacts, i, k, n, x[i, 0] - px, x[i, 1] - py, x[i, 2] - pz, radius[i])
             m += 1
-        if m == BLOCK:
-            finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, radius, spring,
-                         wall_force, deepest)
+        if m == BLOCK or k == total - 1:
+            finish_block(b, m, contacts, x, state, force, material, spring, stamp, step, motion, wall_material, wall_force,
+                         deepest, numbers, h)
             touching, m = touching + m, 0
-    finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, radius, spring,
-                 wall_force, deepest)
-    return bad if bad < 0 else touching + m
+    return bad if bad < 0 else touching
 
 
 @njit(cache=True)

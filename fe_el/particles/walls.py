@@ -9,10 +9,10 @@ import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
-from fe_el.particles.law_kernels import BLOCK, FAST, apply_law, constant_rows, material_row
+from fe_el.particles.law_kernels import BLOCK, FAST
+from fe_el.particles.wall_blocks import add_contact, finish_block, new_contacts
 
 B = BLOCK
-MOST = 64  # facets a sphere may touch at once
 
 
 def wall_candidates(cells, facet_corner, reach):
@@ -80,6 +80,30 @@ def nearest_point(corner, x, y, z):
     return ax + v * bx + u * cx, ay + v * by + u * cy, az + v * bz + u * cz, 1.0 - v - u, v, u
 
 
+def facet_frames(corner):
+    """First corner, dual edge vectors and unit normal of each facet: (facets, 12); a segment's second edge is out of plane."""
+    one = corner[:, 1] - corner[:, 0]
+    other = corner[:, 2] - corner[:, 0] if corner.shape[1] == 3 else np.tile([0.0, 0.0, 1.0], (len(corner), 1))
+    normal = np.cross(one, other)
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    duals = [d / (d * edge).sum(1)[:, None] for d, edge in ((np.cross(other, normal), one), (np.cross(normal, one), other))]
+    return np.column_stack([corner[:, 0], *duals, normal])
+
+
+@njit(cache=True, fastmath=FAST, inline="always")
+def _from_facet(frame, corner, f, x, y, z, reach):
+    """Vector from the nearest point of facet f to a point, with that point's weights; only its length matters beyond reach."""
+    px, py, pz = x - frame[f, 0], y - frame[f, 1], z - frame[f, 2]
+    nx, ny, nz = frame[f, 9], frame[f, 10], frame[f, 11]
+    v = frame[f, 3] * px + frame[f, 4] * py + frame[f, 5] * pz
+    w = frame[f, 6] * px + frame[f, 7] * py + frame[f, 8] * pz
+    d = nx * px + ny * py + nz * pz
+    if abs(d) >= reach or v >= 0.0 and w >= 0.0 and v + w <= 1.0:  # too far from the plane, or in front of the face
+        return d * nx, d * ny, d * nz, 1.0 - v - w, v, w
+    qx, qy, qz, wa, wb, wc = nearest_point(corner[f], x, y, z)
+    return x - qx, y - qy, z - qz, wa, wb, wc
+
+
 def facet_balls(corner):
     """Bounding sphere and unit normal of each facet: (facets, 7), for a quick test before the nearest point."""
     middle = corner.mean(1)
@@ -129,100 +153,55 @@ def wall_gaps(x, radius, particle, facet, corner):
     return gap
 
 
-@njit(cache=True, fastmath=FAST, inline="always")
-def gather_wall(b, m, i, px, py, pz, motion, x, state, radius, inverse_mass, spring, at, keep, numbers):
-    """Rows of one contact of particle i with the wall point p; ``motion`` is the wall's origin, velocity and rotation."""
-    dx, dy, dz = x[i, 0] - px, x[i, 1] - py, x[i, 2] - pz
-    b[m], b[m + B], b[m + 2 * B] = dx, dy, dz
-    b[m + 3 * B], b[m + 4 * B] = dx * dx + dy * dy + dz * dz, radius[i]
-    ox, oy, oz = px - motion[0], py - motion[1], pz - motion[2]
-    b[m + 6 * B] = state[i, 1] - motion[3] - (motion[7] * oz - motion[8] * oy)
-    b[m + 7 * B] = state[i, 2] - motion[4] - (motion[8] * ox - motion[6] * oz)
-    b[m + 8 * B] = state[i, 3] - motion[5] - (motion[6] * oy - motion[7] * ox)
-    b[m + 12 * B], b[m + 22 * B] = inverse_mass[i], radius[i]
-    b[m + 16 * B], b[m + 34 * B] = spring[at, 3], 0.5 * keep
-    for k in range(3):
-        b[m + (9 + k) * B] = radius[i] * state[i, 4 + k]
-        b[m + (13 + k) * B] = keep * spring[at, k]
-    if numbers.rolls > 0:
-        for k in range(3):
-            b[m + (23 + k) * B] = state[i, 4 + k] - motion[6 + k]
-            b[m + (26 + k) * B] = keep * spring[at, 4 + k]
-
-
-@njit(cache=True, fastmath=FAST)
-def finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, radius, spring,
-                 wall_force, deepest):
-    """Apply the law to a block of wall contacts and give particles and walls their forces."""
-    if not uniform:
-        for n in range(m):
-            material_row(b, n, numbers, material[who[n]], wall_material[wall_of[n]])
-    apply_law(b, m, h, numbers)
-    for n in range(m):
-        i, k = who[n], at[n]
-        deepest[0] = max(deepest[0], 0.5 * b[n + 4 * B] / radius[i])
-        for q in range(3):
-            spring[k, q] = b[n + (13 + q) * B]
-            force[i, q] += b[n + (6 + q) * B]
-            wall_force[wall_of[n], q] -= b[n + (6 + q) * B]
-            force[i, 4 + q] += radius[i] * b[n + (9 + q) * B]
-        spring[k, 3] = b[n + 16 * B]
-        if numbers.rolls > 0:
-            for q in range(3):
-                spring[k, 4 + q] = b[n + (26 + q) * B]
-                force[i, 4 + q] += b[n + (23 + q) * B]
-
-
 @njit(cache=True, fastmath=FAST)
 def facet_forces(x, state, force, radius, inverse_mass, material, listed, particle, facet, spring, stamp, step, corner, vertex,
-                 facet_wall, motion, wall_material, wall_force, deepest, b, numbers, h):
+                 facet_wall, frame, motion, wall_material, wall_force, deepest, b, numbers, h):
     """Add the contact forces of the ``listed`` pairs with wall facets.
 
     Returns the number of contacts, or -1 - i where the centre of i is on a wall.
     """
     touching, sides, m, entry, total, bad = 0, corner.shape[1], 0, 0, len(listed), 0
-    point, weight, slot = np.empty((MOST, 3)), np.empty((MOST, 3)), np.empty(MOST, np.uint64)
-    contact = np.empty(MOST, np.bool_)
-    who, at, wall_of = np.empty(B, np.uint64), np.empty(B, np.uint64), np.empty(B, np.uint64)
-    uniform = constant_rows(b, numbers)
+    most = _longest_run(listed, particle)
+    arm, weight, slot, contact = np.empty((most, 3)), np.empty((most, 3)), np.empty(most, np.uint64), np.empty(most, np.bool_)
+    contacts, rest = new_contacts(), (x, state, force, material, spring, stamp, step, motion, wall_material, wall_force, deepest,
+                                      numbers, h)
     while entry < total:
-        i, near = particle[listed[entry]], 0
+        i, near = particle[listed[entry]], np.uint64(0)
+        px, py, pz, r = x[i, 0], x[i, 1], x[i, 2], radius[i]
         while entry < total and particle[listed[entry]] == i:
             k = listed[entry]
-            f = facet[k]
-            qx, qy, qz, wa, wb, wc = nearest_point(corner[f], x[i, 0], x[i, 1], x[i, 2])
-            d2 = (qx - x[i, 0]) ** 2 + (qy - x[i, 1]) ** 2 + (qz - x[i, 2]) ** 2
-            if d2 < radius[i] * radius[i] and near < MOST:
-                point[near, 0], point[near, 1], point[near, 2] = qx, qy, qz
+            dx, dy, dz, wa, wb, wc = _from_facet(frame, corner, facet[k], px, py, pz, r)
+            distance2 = dx * dx + dy * dy + dz * dz
+            if distance2 < r * r:
+                bad = bad if distance2 > 0 else -1 - np.int64(i)
+                arm[near, 0], arm[near, 1], arm[near, 2] = dx, dy, dz
                 weight[near, 0], weight[near, 1], weight[near, 2] = wa, wb, wc
                 slot[near] = k
-                near += 1
+                near += np.uint64(1)
             entry += 1
-        if near == 0:
-            continue
-        moved = False
-        for n in range(near):
-            contact[n] = near == 1 or _is_contact(n, near, slot, facet, vertex, weight, point, 1e-6 * radius[i], sides)
-            moved |= not contact[n] and stamp[slot[n]] == step - 1
-        if moved:
+        contact[0] = True
+        if near > 1:
+            _contacts_of(near, slot, facet, vertex, weight, arm, 1e-6 * r, sides, contact)
             _hand_over(near, slot, contact, spring, stamp, step)
         for n in range(near):
             if contact[n]:
-                s = slot[n]
-                who[m], at[m], wall_of[m] = i, s, facet_wall[facet[s]]
-                gather_wall(b, m, i, point[n, 0], point[n, 1], point[n, 2], motion[wall_of[m]], x, state, radius,
-                            inverse_mass, spring, s, 1.0 if stamp[s] == step - 1 else 0.0, numbers)
-                if not b[m + 3 * B] > 0:
-                    bad = -1 - i
-                stamp[s] = step
+                if m == B:
+                    finish_block(b, m, contacts, *rest)
+                    touching, m = touching + m, 0
+                add_contact(b, m, contacts, i, slot[n], facet_wall[facet[slot[n]]], arm[n, 0], arm[n, 1], arm[n, 2], r)
                 m += 1
-        if m >= B - MOST:
-            finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, radius, spring,
-                         wall_force, deepest)
-            touching, m = touching + m, 0
-    finish_block(b, m, h, numbers, uniform, who, at, wall_of, material, wall_material, force, radius, spring,
-                 wall_force, deepest)
+    finish_block(b, m, contacts, *rest)
     return bad if bad < 0 else touching + m
+
+
+@njit(cache=True)
+def _longest_run(listed, particle):
+    """Largest number of entries of one particle in the list, whose entries of a particle follow each other."""
+    most = run = 1
+    for n in range(1, len(listed)):
+        run = run + 1 if particle[listed[n]] == particle[listed[n - 1]] else 1
+        most = max(most, run)
+    return most
 
 
 @njit(cache=True)
@@ -239,19 +218,18 @@ def _hand_over(near, slot, contact, spring, stamp, step):
 
 
 @njit(cache=True)
-def _is_contact(m, near, slot, facet, vertex, weight, point, tolerance, sides):
-    """Whether nearest point m is a local minimum of the distance to the surface, and the first of its kind."""
-    for o in range(near):
-        if o == m:
-            continue
-        d2 = (point[o, 0] - point[m, 0]) ** 2 + (point[o, 1] - point[m, 1]) ** 2 + (point[o, 2] - point[m, 2]) ** 2
-        if d2 < tolerance * tolerance:
-            if o < m:
-                return False
-            continue
-        if _holds_feature(facet[slot[o]], facet[slot[m]], vertex, weight[m], sides):
-            return False
-    return True
+def _contacts_of(near, slot, facet, vertex, weight, arm, tolerance, sides, contact):
+    """Set which nearest points are local minima of the distance to the surface, and the first of their kind."""
+    for m in range(near):
+        contact[m] = True
+        for o in range(near):
+            if o == m:
+                continue
+            d2 = (arm[o, 0] - arm[m, 0]) ** 2 + (arm[o, 1] - arm[m, 1]) ** 2 + (arm[o, 2] - arm[m, 2]) ** 2
+            if d2 < tolerance * tolerance:
+                contact[m] &= o > m
+            elif contact[m]:
+                contact[m] = not _holds_feature(facet[slot[o]], facet[slot[m]], vertex, weight[m], sides)
 
 
 @njit(cache=True)
