@@ -37,7 +37,7 @@ class ContactLists:
         self.shape = np.array([getattr(w, "shape", np.zeros(4)) for w in walls] or [np.zeros(4)])
         self.motion = np.array([w.motion() for w in walls] or [np.zeros(9)])
         self.wall_material = np.array([w.material for w in walls] or [0], np.int64)
-        self.springs, self.restored, self.has_shapes = None, None, bool((self.kind != FACETS).any())
+        self.ghosts, self.springs, self.restored, self.has_shapes = None, None, None, bool((self.kind != FACETS).any())
 
     def wall_speed(self):
         """Largest speed of a wall that moves [m/s]."""
@@ -73,6 +73,8 @@ class ContactLists:
             kept = self._move_springs(kept, destination, before)
         if self.rebuilds % SORT_EVERY == 0 or layout is None:
             kept = self._sort(kept, largest + self.skin)
+        if self.ghosts is not None:
+            self.ghosts.free()
         self.ghosts = Ghosts(comm, p.position, largest + self.skin, p.period)
         x, pairs = self._pairs()
         self.radius, self.inverse_mass = self.ghosts.grow(p.diameter / 2), self.ghosts.grow(1 / p.mass)
@@ -186,6 +188,7 @@ class ContactLists:
         if self.has_shapes:
             near = shape_list(x, self.radius, n, self.skin, self.kind, self.shape, self.motion)
             self.shape_particle, self.shape_wall = (a.view(np.uint32) for a in near)
+        self.scratch = _walls.scratch(self.wall_particle)
         self.wall_gap = _walls.wall_gaps(x, self.radius, self.wall_particle, self.wall_facet, self.facet_rows[0])
         self.listed, self.wall_listed = (np.empty(len(a) + 1, np.uint32) for a in (self.gap, self.wall_gap))
         self.near = (-1.0, 0, 0)  # see update_near

@@ -209,7 +209,7 @@ class Contacts:
     def _rows(self):
         """What the kernels need of particles, pairs (twice), what is near, facets, planes and cylinders, and of all walls."""
         lists = self.lists
-        facets = (lists.wall_particle, lists.wall_facet, lists.springs[1], lists.stamps[1], *lists.facet_rows)
+        facets = (lists.wall_particle, lists.wall_facet, lists.springs[1], lists.stamps[1], *lists.facet_rows, lists.scratch)
         shapes = (lists.shape_particle, lists.shape_wall, lists.springs[2], lists.stamps[2], lists.kind, lists.shape)
         return ((lists.x, lists.state, lists.force, lists.radius, lists.inverse_mass, lists.material),
                 (lists.first, lists.second, lists.springs[0], lists.stamps[0]),

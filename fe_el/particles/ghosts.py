@@ -2,6 +2,7 @@
 import itertools
 
 import numpy as np
+from mpi4py import MPI
 from numba import njit
 
 from fe_el.particles.neighbours import bounds
@@ -80,12 +81,35 @@ class Ghosts:
         self.busy = self.number > 0 or any(len(rows) for rows in self.send)
         ends = owned + np.cumsum(self.counts)
         self.receive = [slice(e - c, e) for e, c in zip(ends, self.counts)]
-        self.buffers = [(np.empty((len(rows), 9)), np.empty((c, 9))) for rows, c in zip(self.send, self.counts)]
         me = self.comm.rank
-        self.images = (self.send[me], self.buffers[me][0], self.shift)  # of this rank's own particles
+        self.abroad = np.concatenate([rows for rank, rows in enumerate(self.send) if rank != me] or [np.zeros(0, np.int64)])
+        self.outgoing, self.incoming = np.empty((len(self.abroad), 9)), np.empty((self.number, 9))
+        self.images = (self.send[me], self.incoming[slice(*(k - owned for k in (self.receive[me].start, self.receive[me].stop)))],
+                       self.shift)  # of this rank's own particles
+        self.requests = None
+
+    def _prepare(self):
+        """Messages that are the same until the ghosts change."""
+        receives, sends, at = [], [], 0
+        for rank, (rows, where) in enumerate(zip(self.send, self.receive)):
+            if rank == self.comm.rank:
+                continue
+            if where.stop > where.start:
+                receives.append(self.comm.Recv_init(self.incoming[where.start - self.owned:where.stop - self.owned], source=rank))
+            if len(rows):
+                sends.append(self.comm.Send_init(self.outgoing[at:at + len(rows)], dest=rank))
+                at += len(rows)
+        self.requests = receives + sends
+
+    def free(self):
+        """Release the messages, before the ghosts are made anew."""
+        for request in self.requests or []:
+            request.Free()
+        self.requests = None
 
     def keep(self, used):
         """Give up the ghosts that are not ``used`` (ghosts,), here and where they come from. Collective."""
+        self.free()
         ends = np.cumsum(self.counts)[:-1]
         wanted = self.comm.alltoall(np.split(used, ends))
         self.send = [rows[kept] for rows, kept in zip(self.send, wanted)]
@@ -114,16 +138,11 @@ class Ghosts:
 
     def forward_state(self, x, state):
         """Set the ghosts' positions (shifted for periodic images), velocities and angular velocities, in place."""
-        requests, me = [], self.comm.rank
-        for rank, (outgoing, incoming) in enumerate(self.buffers):
-            if rank != me and len(incoming):
-                requests.append(self.comm.Irecv(incoming, source=rank))
-            if len(outgoing):
-                pack(self.send[rank], x, state, outgoing)
-                if rank != me:
-                    requests.append(self.comm.Isend(outgoing, dest=rank))
-        for request in requests:
-            request.Wait()
-        for rank, (outgoing, incoming) in enumerate(self.buffers):
-            if len(incoming):
-                unpack(outgoing if rank == me else incoming, self.shift, self.receive[rank].start, self.owned, x, state)
+        if self.requests is None:
+            self._prepare()
+        pack(self.abroad, x, state, self.outgoing)
+        pack(self.images[0], x, state, self.images[1])
+        if self.requests:
+            MPI.Prequest.Startall(self.requests)
+            MPI.Request.Waitall(self.requests)
+        unpack(self.incoming, self.shift, self.owned, self.owned, x, state)

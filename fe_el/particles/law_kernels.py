@@ -39,10 +39,13 @@ def aligned(rows, width):
 
 
 def new_block():
-    """An empty block."""
+    """An empty block, and the pairs (or entries of a list, particles and walls) of its contacts.
+
+    It is made once: memory that is asked for and given back at each sub-step can cost as much as a hundred contacts.
+    """
     block = aligned(ROWS, BLOCK)
     block[:] = 1.0
-    return block.ravel()
+    return block.ravel(), np.empty(BLOCK, np.uint64), np.empty(BLOCK, np.uint64), np.empty(BLOCK, np.uint64)
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

@@ -143,14 +143,14 @@ def fill_up(b, m, at):
 
 
 @njit(cache=True, fastmath=FAST)
-def pair_forces(x, state, force, radius, material, near, first, second, spring, stamp, step, b, numbers, h, deepest):
+def pair_forces(x, state, force, radius, material, near, first, second, spring, stamp, step, block, numbers, h, deepest):
     """Add the contact forces of the pairs ``near`` of the list.
 
     Returns the number of touching pairs, and the larger of ``deepest`` and their overlaps over the smaller diameter.
     ``stamp`` holds the last step at which each pair touched: a spring counts only if that was the step before.
     """
     touching, n = 0, 0
-    at = np.empty(B, np.uint64)
+    b, at, _, _ = block
     uniform = constant_rows(b, numbers)
     while n < len(near):
         m, n = next_block(b, at, x, radius, near, first, second, n)

@@ -9,16 +9,11 @@ from fe_el.particles.rows_of_four import block_to_rows, scaled_to_block
 B = BLOCK
 
 
-@njit(cache=True)
-def new_contacts():
-    """Particle, place in the list and wall of the contacts of a block."""
-    return np.empty(B, np.uint64), np.empty(B, np.uint64), np.empty(B, np.uint64)
-
-
 @njit(cache=True, fastmath=FAST, inline="always")
-def add_contact(b, m, contacts, i, k, wall, dx, dy, dz, radius):
+def add_contact(block, m, i, k, wall, dx, dy, dz, radius):
     """Contact m of a block: particle i, entry k of the list; (dx, dy, dz) points from the wall's nearest point to the centre."""
-    contacts[0][m], contacts[1][m], contacts[2][m] = i, k, wall
+    b, at, who, wall_of = block
+    at[m], who[m], wall_of[m] = k, i, wall
     b[m], b[m + B], b[m + 2 * B] = dx, dy, dz
     b[m + 3 * B], b[m + 4 * B] = dx * dx + dy * dy + dz * dz, radius
 
@@ -62,12 +57,12 @@ def _subtract_motion(b, m, who, wall_of, x, motion):
 
 
 @njit(cache=True, fastmath=FAST)
-def finish_block(b, m, contacts, x, state, force, material, spring, stamp, step, motion, wall_material, wall_force, deepest,
+def finish_block(block, m, x, state, force, material, spring, stamp, step, motion, wall_material, wall_force, deepest,
                  numbers, h):
     """Apply the law to a block of m wall contacts and give particles and walls their forces."""
     if m == 0:
         return
-    who, at, wall_of = contacts
+    b, at, who, wall_of = block
     full = fill_up(b, m, at)
     for n in range(m, full):
         who[n], wall_of[n] = who[m - 1], wall_of[m - 1]

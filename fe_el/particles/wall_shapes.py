@@ -4,7 +4,7 @@ from numba import njit
 
 from fe_el.checks import require_positive
 from fe_el.particles.law_kernels import BLOCK, FAST
-from fe_el.particles.wall_blocks import add_contact, finish_block, new_contacts
+from fe_el.particles.wall_blocks import add_contact, finish_block
 
 PLANE, CYLINDER, FACETS = 0, 1, 2
 
@@ -115,19 +115,19 @@ def shape_list(x, radius, owned, skin, kind, shape, motion):
 
 @njit(cache=True, fastmath=FAST)
 def shape_forces(x, state, force, radius, inverse_mass, material, particle, wall, spring, stamp, step, kind, shape,
-                 motion, wall_material, wall_force, deepest, b, numbers, h):
+                 motion, wall_material, wall_force, deepest, block, numbers, h):
     """Add the contact forces of planes and cylinders; returns the number of contacts, or -1 - i where i is behind one."""
-    touching, m, bad, contacts, total = 0, 0, 0, new_contacts(), len(particle)
+    touching, m, bad, total = 0, 0, 0, len(particle)
     for k in range(total):
         i, n = particle[k], wall[k]
         px, py, pz, distance = _surface_point(kind[n], shape[n], motion[n], x[i, 0], x[i, 1], x[i, 2])
         if distance < radius[i]:
             if not distance > 0:
                 bad = -1 - np.int64(i)
-            add_contact(b, m, contacts, i, k, n, x[i, 0] - px, x[i, 1] - py, x[i, 2] - pz, radius[i])
+            add_contact(block, m, i, k, n, x[i, 0] - px, x[i, 1] - py, x[i, 2] - pz, radius[i])
             m += 1
         if m == BLOCK or k == total - 1:
-            finish_block(b, m, contacts, x, state, force, material, spring, stamp, step, motion, wall_material, wall_force,
+            finish_block(block, m, x, state, force, material, spring, stamp, step, motion, wall_material, wall_force,
                          deepest, numbers, h)
             touching, m = touching + m, 0
     return bad if bad < 0 else touching

@@ -10,7 +10,7 @@ from numba import njit
 from scipy.spatial import cKDTree
 
 from fe_el.particles.law_kernels import BLOCK, FAST
-from fe_el.particles.wall_blocks import add_contact, finish_block, new_contacts
+from fe_el.particles.wall_blocks import add_contact, finish_block
 
 B = BLOCK
 
@@ -153,18 +153,22 @@ def wall_gaps(x, radius, particle, facet, corner):
     return gap
 
 
+def scratch(particle):
+    """Memory for the facets near one particle: vectors, weights, entries of the list, and whether each is a contact."""
+    most = int(np.bincount(particle).max(initial=1))
+    return np.empty((most, 3)), np.empty((most, 3)), np.empty(most, np.uint64), np.empty(most, np.bool_)
+
+
 @njit(cache=True, fastmath=FAST)
 def facet_forces(x, state, force, radius, inverse_mass, material, listed, particle, facet, spring, stamp, step, corner, vertex,
-                 facet_wall, frame, motion, wall_material, wall_force, deepest, b, numbers, h):
+                 facet_wall, frame, scratch, motion, wall_material, wall_force, deepest, block, numbers, h):
     """Add the contact forces of the ``listed`` pairs with wall facets.
 
     Returns the number of contacts, or -1 - i where the centre of i is on a wall.
     """
     touching, sides, m, entry, total, bad = 0, corner.shape[1], 0, 0, len(listed), 0
-    most = _longest_run(listed, particle)
-    arm, weight, slot, contact = np.empty((most, 3)), np.empty((most, 3)), np.empty(most, np.uint64), np.empty(most, np.bool_)
-    contacts, rest = new_contacts(), (x, state, force, material, spring, stamp, step, motion, wall_material, wall_force, deepest,
-                                      numbers, h)
+    arm, weight, slot, contact = scratch
+    rest = x, state, force, material, spring, stamp, step, motion, wall_material, wall_force, deepest, numbers, h
     while entry < total:
         i, near = particle[listed[entry]], np.uint64(0)
         px, py, pz, r = x[i, 0], x[i, 1], x[i, 2], radius[i]
@@ -186,22 +190,12 @@ def facet_forces(x, state, force, radius, inverse_mass, material, listed, partic
         for n in range(near):
             if contact[n]:
                 if m == B:
-                    finish_block(b, m, contacts, *rest)
+                    finish_block(block, m, *rest)
                     touching, m = touching + m, 0
-                add_contact(b, m, contacts, i, slot[n], facet_wall[facet[slot[n]]], arm[n, 0], arm[n, 1], arm[n, 2], r)
+                add_contact(block, m, i, slot[n], facet_wall[facet[slot[n]]], arm[n, 0], arm[n, 1], arm[n, 2], r)
                 m += 1
-    finish_block(b, m, contacts, *rest)
+    finish_block(block, m, *rest)
     return bad if bad < 0 else touching + m
-
-
-@njit(cache=True)
-def _longest_run(listed, particle):
-    """Largest number of entries of one particle in the list, whose entries of a particle follow each other."""
-    most = run = 1
-    for n in range(1, len(listed)):
-        run = run + 1 if particle[listed[n]] == particle[listed[n - 1]] else 1
-        most = max(most, run)
-    return most
 
 
 @njit(cache=True)
