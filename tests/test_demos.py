@@ -116,6 +116,19 @@ def test_contact_speed(folder):
     assert summary["nanoseconds_per_particle_step_1000"] > 0 and summary["neighbours_per_particle_1000"] > 1
 
 
+def test_copies_of_a_periodic_tile_move_alike():
+    """Sixty-four copies, so many beads that rows are asked for ahead of their use, against the one tile."""
+    import numpy as np
+    tile, moved = contact_speed.settled_tile(200), []
+    for tiles in (1, 8):
+        beads, contacts = contact_speed.bed(tiles, *tile)
+        start = beads.position[np.argsort(beads.id)]
+        beads.advance(20 * contact_speed.CONTACT_STEP, contacts)
+        moved.append((beads.position[np.argsort(beads.id)] - start).reshape(-1, 1000, 3))
+    size = np.abs(moved[0]).max()
+    assert size > 1e-7 and np.abs(moved[1] - moved[0]).max() < 1e-9 * size
+
+
 @pytest.mark.ranks
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_own_weak_form(folder, dimension):

@@ -11,6 +11,7 @@ from fe_el.particles.law_kernels import BLOCK, FAST, apply_law, constant_rows
 from fe_el.particles.rows_of_four import (
     block_to_rows,
     difference_to_block,
+    fetch_row,
     force_from_block,
     rolled_sum_to_block,
     scaled_to_block,
@@ -18,6 +19,7 @@ from fe_el.particles.rows_of_four import (
 )
 
 B = BLOCK
+MANY = 60000  # particles whose rows do not fit into the near caches
 
 
 @njit(cache=True, fastmath=FAST, inline="always")
@@ -132,6 +134,16 @@ def next_block(b, at, x, radius, near, first, second, start):
 
 
 @njit(cache=True)
+def fetch_rows(m, at, second, state, force, spring):
+    """Ask for what a block of contacts will need, while the processor is still busy with what came before."""
+    for n in range(m):
+        k = at[n]
+        fetch_row(state, 8, second[k])
+        fetch_row(force, 8, second[k])
+        fetch_row(spring, spring.shape[1], k)
+
+
+@njit(cache=True)
 def fill_up(b, m, at):
     """Copy the last contact of a block until their number is a multiple of four, and return that."""
     full = (m + 3) // 4 * 4
@@ -149,11 +161,13 @@ def pair_forces(x, state, force, radius, material, near, first, second, spring, 
     Returns the number of touching pairs, and the larger of ``deepest`` and their overlaps over the smaller diameter.
     ``stamp`` holds the last step at which each pair touched: a spring counts only if that was the step before.
     """
-    touching, n = 0, 0
+    touching, n, far = 0, 0, len(x) > MANY
     b, at, _, _ = block
     uniform = constant_rows(b, numbers)
     while n < len(near):
         m, n = next_block(b, at, x, radius, near, first, second, n)
+        if far:
+            fetch_rows(m, at, second, state, force, spring)
         full = fill_up(b, m, at)
         gather(b, full, at, first, second, state, spring, stamp, step)
         if not uniform:

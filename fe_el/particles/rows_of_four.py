@@ -145,3 +145,13 @@ def torque_from_block(c, block, at, force, state, first, second):
         for k in (i, j):
             at_k = c.entry(k, WIDTH, 4)
             c.store(c.plus(c.load(f, at_k), c.times(c.radius(s, k), vector)), f, at_k)
+
+
+@_instructions
+def fetch_row(c, rows, width, k):
+    """Ask for row k to be brought near the processor, ahead of its use."""
+    place = c.builder.gep(c.array(rows), [c.entry(c.index(k), c.index(width))])
+    byte = ir.IntType(8).as_pointer()
+    word = ir.IntType(32)
+    fetch = cgutils.get_or_insert_function(c.builder.module, ir.FunctionType(ir.VoidType(), [byte, word, word, word]), "llvm.prefetch.p0i8")
+    c.builder.call(fetch, [c.builder.bitcast(place, byte), ir.Constant(word, 0), ir.Constant(word, 2), ir.Constant(word, 1)])
