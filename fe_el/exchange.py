@@ -1,4 +1,6 @@
 """Exchange of array entries between ranks: each entry has one owner, other ranks hold ghosts of it."""
+import math
+
 import numpy as np
 from mpi4py import MPI
 
@@ -27,7 +29,7 @@ class Halo:
     """
 
     def __init__(self, comm, send, receive):
-        self.comm = comm
+        self.comm, self._plans = comm, {}
         self.send = [(rank, np.asarray(i, np.int64)) for rank, i in enumerate(send) if len(i)]
         self.receive = [(rank, np.asarray(i, np.int64)) for rank, i in enumerate(receive) if len(i)]
 
@@ -49,26 +51,58 @@ class Halo:
         local = index_map.size_local + np.arange(len(ghosts))
         return cls.of_requests(comm, local, owners, ghosts - starts[owners])
 
-    def _swap(self, array, outgoing, incoming):
-        buffers = [np.empty((len(i),) + array.shape[1:], array.dtype) for _, i in incoming]
-        requests = [self.comm.Irecv(b, source=rank) for (rank, _), b in zip(incoming, buffers)]
-        packed = [np.ascontiguousarray(array[i]) for _, i in outgoing]
-        requests += [self.comm.Isend(b, dest=rank) for (rank, _), b in zip(outgoing, packed)]
-        for request in requests:
-            request.Wait()
-        return buffers
+    def _plan(self, forward, shapes, kind):
+        """Rows with the parts of the buffers that hold them, going out and coming in, and the messages; made once."""
+        key = forward, shapes, kind
+        if key not in self._plans:
+            def parts(sides):
+                rows, buffers = [], []
+                for rank, i in sides:
+                    ends = np.cumsum([0] + [len(i) * math.prod(shape) for shape in shapes])
+                    buffers.append((rank, np.empty(ends[-1], kind)))
+                    rows.append((i, [buffers[-1][1][k:end].reshape(len(i), *shape) for k, end, shape in zip(ends, ends[1:], shapes)]))
+                return rows, buffers
+            (out, to), (into, of) = (parts(side) for side in (self.send, self.receive)[::1 if forward else -1])
+            messages = [self.comm.Recv_init(b, source=rank) for rank, b in of] + [self.comm.Send_init(b, dest=rank) for rank, b in to]
+            self._plans[key] = out, into, messages
+        return self._plans[key]
 
-    def forward(self, array):
-        """Set the ghosts in ``array`` to their owners' values."""
-        for (_, i), values in zip(self.receive, self._swap(array, self.send, self.receive)):
-            array[i] = values
-        return array
+    def __del__(self):
+        if not MPI.Is_finalized():
+            for *_, messages in self._plans.values():
+                for message in messages:
+                    message.Free()
 
-    def reverse_add(self, array):
-        """Add the ghosts' values to their owners' entries (the ghosts keep theirs)."""
-        for (_, i), values in zip(self.send, self._swap(array, self.receive, self.send)):
-            np.add.at(array, i, values)
-        return array
+    def _swap(self, arrays, forward):
+        """Send rows of all arrays as one message to each rank; returns rows and their values, by rank."""
+        out, into, messages = self._plan(forward, tuple(a.shape[1:] for a in arrays), arrays[0].dtype)
+        for i, parts in out:
+            for a, part in zip(arrays, parts):
+                np.take(a, i, 0, part, "clip")
+        MPI.Prequest.Startall(messages)
+        MPI.Request.Waitall(messages)
+        return into
+
+    def forward(self, *arrays):
+        """Set the ghosts in arrays of one type to their owners' values; returns the first array."""
+        if self.send or self.receive:
+            for i, parts in self._swap(arrays, True):
+                for a, part in zip(arrays, parts):
+                    a[i] = part
+        return arrays[0]
+
+    def reverse_add(self, *arrays):
+        """Add the ghosts' values to their owners' entries (the ghosts keep theirs); returns the first array."""
+        if self.send or self.receive:
+            for i, parts in self._swap(arrays, False):
+                for a, part in zip(arrays, parts):
+                    a[i] += part  # no entry is there twice
+        return arrays[0]
+
+    def complete(self, *arrays):
+        """Make sums over the entries of this rank complete on all."""
+        self.reverse_add(*arrays)
+        self.forward(*arrays)
 
 
 def move(comm, destination, arrays):

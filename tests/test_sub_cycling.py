@@ -6,7 +6,6 @@ from mpi4py import MPI
 
 import fe_el
 from demos import error_against_run_time
-from demos.error_against_run_time import slip_history
 from demos.sedimenting_suspension import Suspension
 
 D, RHO_P, MU = 150e-6, 1500.0, 1.8e-5
@@ -60,7 +59,7 @@ def test_energy_of_a_closed_system_never_grows(dt_star):
 def test_large_steps_are_more_accurate():
     """At eight fluid relaxation times a step: less than half the error, against a step of 0.1."""
     def run(scheme, dt_star):
-        return slip_history(error_against_run_time.suspension(scheme, (32.0,) * 3, (4,) * 3, 1), dt_star, 0.03)
+        return error_against_run_time.slip_history(error_against_run_time.suspension(scheme, (32.0,) * 3, (4,) * 3, 1), dt_star, 0.03)
     reference = run("conservative", 0.1)[0]
 
     def error(scheme):

@@ -77,5 +77,5 @@ class ViscousStressMean:
         flux = np.einsum("cik,ckd,c->cid", nodes.gradient, slope, nodes.measure)
         out = np.zeros_like(u)
         np.add.at(out, nodes.dofs, -self.viscosity * flux)
-        nodes.halo.forward(nodes.halo.reverse_add(out))
+        nodes.halo.complete(out)
         return nodes.means(np.where(self.inside[:, None], out / self.mass, 0.0))

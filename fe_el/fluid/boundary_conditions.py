@@ -39,8 +39,13 @@ class BoundaryFacets:
         self.points = np.stack([self.centre + pull * (at[:, k] - self.centre) for k in range(d)])
         mark = np.zeros(num_nodes)
         mark[self.facet_nodes] = 1.0
-        node_halo.forward(node_halo.reverse_add(mark))
-        self.nodes = np.flatnonzero(mark > 0)
+        node_halo.complete(mark)
+        self.nodes, self.num_nodes = np.flatnonzero(mark > 0), num_nodes
+
+    def nodal_sum(self, values):
+        """Sum (nodes,) over the facets of this rank of one value for each facet, given to each of its nodes."""
+        total = np.bincount(self.facet_nodes.ravel(), np.repeat(values, self.facet_nodes.shape[1]), self.num_nodes)
+        return total.astype(float, copy=False)  # without facets they are whole numbers
 
 
 def volume_flux(facets, value, time, dimension):
@@ -119,7 +124,7 @@ class Boundaries:
         facets = self.boundary(group)
         normal = np.zeros((self.nodes, self.dimension))
         np.add.at(normal, facets.facet_nodes, facets.area_normal[:, None])
-        self.node_halo.forward(self.node_halo.reverse_add(normal))
+        self.node_halo.complete(normal)
         length = np.linalg.norm(normal, axis=1)
         self.slip.append((facets.nodes, (normal / np.maximum(length, 1e-300)[:, None])[facets.nodes]))
 
@@ -133,30 +138,32 @@ class Boundaries:
             raise ValueError(f"The inlets let {-net:g} m^3/s into a domain without outlet; add set_pressure(group).")
 
     def set_boundary_values(self, phi):
-        """Interstitial velocities of the fixed nodes at the new time; walls win over inlets."""
+        """Interstitial velocities of the fixed nodes at the new time; walls win over inlets. ``phi`` None: one, on all ranks."""
         d = self.dimension
         for facets, value in self.inlets:
-            void, number = self.nodal_zeros(()), self.nodal_zeros(())
-            np.add.at(void, facets.facet_nodes, phi[facets.cell][:, None])
-            np.add.at(number, facets.facet_nodes, 1.0)
-            self.complete(void, number)
-            k = facets.nodes
-            self.boundary_velocity[k] = velocity_at(value, self.time, self.node_position[k], d) * (number[k] / void[k])[:, None]
+            k, ratio = facets.nodes, 1.0
+            if phi is not None:
+                void, number = facets.nodal_sum(phi[facets.cell]), facets.nodal_sum(np.ones(len(facets.cell)))
+                self.complete(void, number)
+                ratio = (number[k] / void[k])[:, None]
+            self.boundary_velocity[k] = velocity_at(value, self.time, self.node_position[k], d) * ratio
         for facets in self.no_slip:
             self.boundary_velocity[facets.nodes] = 0.0
 
     def inflow_at(self, time):
         """Volume per time that the inlets let in, on the nodes of owned facets [m^3/s]."""
-        inflow, d = self.nodal_zeros(()), self.dimension
-        for facets, value in self.inlets:
-            np.add.at(inflow, facets.facet_nodes, -volume_flux(facets, value, time, d)[:, None] / d)
-        return inflow
+        def of(steady):
+            return sum((facets.nodal_sum(-volume_flux(facets, value, time, self.dimension) / self.dimension)
+                        for facets, value in self.inlets if callable(value) != steady), self.nodal_zeros(()))
+        if self._steady_inflow is None:
+            self._steady_inflow = of(True)
+        return self._steady_inflow + of(False) if any(callable(value) for _, value in self.inlets) else self._steady_inflow
 
     def impose(self, u):
         """Give the fixed nodes their velocities, and take the normal part from slip walls, in place."""
         for nodes, normal in self.slip:
             u[nodes] -= normal * (u[nodes] * normal).sum(1)[:, None]
-        u[self.fixed] = self.boundary_velocity[self.fixed]
+        u[self.held] = self.boundary_velocity[self.held]
 
     def boundary_force(self, group):
         """Force of the fluid on a no-slip boundary group, by pressure and by shear: two arrays (d,) [N].

@@ -24,7 +24,7 @@ class ClosedFlux:
         laplacian = ElementMatrix(fluid.space, fluid.dofs)
         laplacian.values[:] = np.einsum("cik,cjk,c->cij", fluid.gradient, fluid.gradient, fluid.volume)
         none = fluid.nodal_zeros((1,))
-        laplacian.values[:] = kernels.fixed_rows(fluid.dofs, fluid.fixed_pressure, laplacian.values, none, none)
+        laplacian.fix(fluid.fixed_pressure, none, none)
         laplacian.assemble()
         self.matrix = laplacian.matrix
         self.solver = LinearSolver(self.matrix, "flux", "cg", "gamg", fluid.tolerance, not fluid.outlets)

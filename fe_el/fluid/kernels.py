@@ -135,10 +135,14 @@ def apply_elements(dofs, values, u, out):
 
 
 @by_dimension
-def fixed_rows(dofs, fixed, elements, lift, boundary):
-    """Element matrices with rows and columns of fixed nodes replaced by a diagonal; what columns carried goes to ``lift``."""
-    values = elements.copy()
-    for c in range(len(dofs)):
+def fix_rows(dofs, at, fixed, values, kept, lift, boundary):
+    """Replace rows and columns of fixed nodes by a diagonal in the element matrices of the cells ``at``, which go to ``kept``
+    as they were; what columns carried goes to ``lift``."""
+    for n in range(len(at)):
+        c = at[n]
+        for i in range(M):
+            for j in range(M):
+                kept[n, i, j] = values[c, i, j]
         for i in range(M):
             if fixed[dofs[c, i]]:
                 for j in range(M):
@@ -149,7 +153,6 @@ def fixed_rows(dofs, fixed, elements, lift, boundary):
                         values[c, i, j] = 0.0
                         values[c, j, i] = 0.0
                 values[c, i, i] = abs(values[c, i, i]) + 1e-300
-    return values
 
 
 @by_dimension

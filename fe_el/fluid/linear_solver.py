@@ -4,6 +4,8 @@ import ctypes
 import numpy as np
 from petsc4py import PETSc
 
+from fe_el.fluid import kernels
+
 _petsc = ctypes.CDLL(PETSc.__file__)
 _petsc.MatSetPreallocationCOO.argtypes = [ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_void_p, ctypes.c_void_p]
 _petsc.MatSetValuesCOO.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int]
@@ -33,6 +35,18 @@ class ElementMatrix:
         rows, columns = np.repeat(number, m, 1).ravel(), np.tile(number, (1, m)).ravel()
         self.values = np.zeros((len(dofs), m, m))
         self._check(_petsc.MatSetPreallocationCOO(self.matrix.handle, rows.size, rows.ctypes.data, columns.ctypes.data))
+        self.dofs, self._nodes = dofs, None
+
+    def fix(self, nodes, lift, boundary):
+        """Replace rows and columns of fixed nodes (a mask) by a diagonal; what columns carried of ``boundary`` goes to ``lift``."""
+        if self._nodes is not nodes:
+            self._nodes, self._at = nodes, np.flatnonzero(nodes[self.dofs].any(1)).astype(np.uint32)
+            self._kept = np.empty((len(self._at), *self.values.shape[1:]))
+        kernels.fix_rows(self.dofs, self._at, nodes, self.values, self._kept, lift, boundary)
+
+    def release(self):
+        """The element matrices as they were before :meth:`fix`."""
+        self.values[self._at] = self._kept
 
     def assemble(self):
         """Sum ``values`` into the matrix."""

@@ -17,7 +17,6 @@ class PressureEquation:
 
     def __init__(self, fluid):
         self.fluid, self._weight, self._boundary = fluid, None, None
-        self._at_fixed = np.flatnonzero(fluid.fixed_pressure[fluid.dofs].any(1))
         self.elements = ElementMatrix(fluid.space, fluid.dofs)
         self.solver = LinearSolver(self.elements.matrix, "pressure", "cg", "gamg", fluid.tolerance, not fluid.outlets)
 
@@ -52,9 +51,8 @@ class PressureEquation:
         if air.comm.allreduce(int(same)) == air.comm.size:
             return
         self._weight, self._boundary, self._lift = weight, boundary, air.nodal_zeros((1,))
-        values, at = self.elements.values, self._at_fixed
-        kernels.poisson_matrix(air.dofs, air.gradient, weight, values)
-        values[at] = kernels.fixed_rows(air.dofs[at], air.fixed_pressure, values[at], self._lift, boundary)
+        kernels.poisson_matrix(air.dofs, air.gradient, weight, self.elements.values)
+        self.elements.fix(air.fixed_pressure, self._lift, boundary)
         self.elements.assemble()
         self.solver.new_values()
         self._diagonal = self.elements.matrix.getDiagonal().array

@@ -85,10 +85,11 @@ class Scalar:
         for facets, value in self.fixed:
             mark[facets.nodes] = True
             boundary[facets.nodes] = value(air.time) if callable(value) else value
-        elements, lift = values.copy(), np.zeros((air.nodes, 1))
-        values[:] = kernels.fixed_rows(air.dofs, mark, elements, lift, boundary)
+        lift = np.zeros((air.nodes, 1))
+        self.matrix.fix(mark, lift, boundary)
         air.node_halo.reverse_add(lift)
         self.matrix.assemble()
+        self.matrix.release()
         self.solver.new_values()
         system = (rhs + lift)[:own, 0]
         system[mark[:own]] = (self.matrix.matrix.getDiagonal().array * boundary[:own, 0])[mark[:own]]
@@ -96,7 +97,7 @@ class Scalar:
         new[:own, 0] = self.solver.solve(system, old[:own, 0])
         air.node_halo.forward(new)
         balance = np.zeros((air.nodes, 1))
-        kernels.apply_elements(air.dofs, elements, new, balance)
+        kernels.apply_elements(air.dofs, values, new, balance)
         air.complete(balance)
         exact = new + dt * (rhs + balance) / mass
         self.value.x.array[:] = np.where(mark[:, None], new, exact)[:, 0]

@@ -112,7 +112,7 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
             self.fixed[facets.nodes] = True
         for facets, _ in self.outlets:
             self.fixed_pressure[facets.nodes] = True
-        self._at_fixed = np.flatnonzero(self.fixed[self.dofs].any(1))
+        self.held, self._thetas, self._steady_inflow = np.flatnonzero(self.fixed), {}, None
         self.pressure_equation = PressureEquation(self)
         self.boundary_velocity = np.zeros((self.nodes, self.dimension))
         if closed:
@@ -138,8 +138,14 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         """Implicit part (cells,) of transport: 1/2, and more where diffusion is so fast that half a step of it would only ring."""
         if not self.second_order:
             return np.ones(self.num_cells)
-        z = np.clip(0.04 * diffusivity * dt / self.h ** 2, 1e-3, 500)
-        return np.where(z > 1e-3, 1 / -np.expm1(-z) - 1 / z, 0.5)
+        key = (float(diffusivity), dt) if np.ndim(diffusivity) == 0 else None
+        if key is None or key not in self._thetas:
+            z = np.clip(0.04 * diffusivity * dt / self.h ** 2, 1e-3, 500)
+            theta = np.where(z > 1e-3, 1 / -np.expm1(-z) - 1 / z, 0.5)
+            if key is None:
+                return theta
+            self._thetas = {**self._thetas, key: theta} if len(self._thetas) < 8 else {key: theta}  # those of the last steps
+        return self._thetas[key]
 
     # -- one step ------------------------------------------------------------------------------------------------------
 
@@ -173,7 +179,7 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         phi0 = phi if self.void_fraction is None else self.void_fraction
         if not self.ready:
             self._setup()
-            self.set_boundary_values(phi0)
+            self.set_boundary_values(phi0 if phi0 is not phi or fields is not None else None)
         q = self.velocity.x.array.reshape(-1, d)[:n].copy()
         rate0, self.rate = self.rate, (phi - phi0) / dt
         flux = self.step_flux = self._mass_flux(dt, phi0, q)
@@ -181,9 +187,10 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         self.second_order = self.time_order == 2 and self.step > START_STEPS and not self.upwind
         self.damping = drag * dt / (self.density * phi + drag * dt)
         u = self._relax(dt, phi0, q)
-        self.set_boundary_values(phi)
-        nodal = self._transport_step(dt, phi0, phi, flux, u)
-        transported = self._fade(dt, phi0, phi, q, u)
+        self.set_boundary_values(None if fields is None else phi)
+        self.cell_mass = self.density * phi * self.volume
+        transported, defect = self._fade(dt, q, u)
+        nodal = self._transport_step(dt, phi0, phi, flux, u, defect)
         # the rate at the end of the step, where continuity is imposed: of the parabola through three void fractions
         end_rate = self.rate + (dt / (dt + self.dt) * (self.rate - rate0) if self.second_order else 0.0)
         share = phi if pressure_share is None else pressure_share
@@ -213,8 +220,7 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
 
     def complete(self, *sums):
         """Make nodal sums of owned cells complete on every rank."""
-        for a in sums:
-            self.node_halo.forward(self.node_halo.reverse_add(a))
+        self.node_halo.complete(*sums)
 
     def _relax(self, dt, phi0, q):
         """Stage 1: u <- u + a P(q - mean u) moves the nodes towards the least-squares fit of the cells.
@@ -241,7 +247,7 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         self.impose(u)
         return u
 
-    def _transport_step(self, dt, phi0, phi, flux, u):
+    def _transport_step(self, dt, phi0, phi, flux, u, defect):
         """Stage 2: convection and viscosity of the nodal velocity, implicit, skew-symmetric, conserving momentum."""
         d, values = self.dimension, self._transport.values
         theta = self.theta_of(self.viscosity / self.density, dt)
@@ -254,34 +260,33 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
                                  flux, self.fixed_pressure, theta, u, values, explicit)
         if self.stabilisation is not None:
             self.stabilisation(self, share, flux, u, values, explicit)
-        self.node_halo.forward(self.node_halo.reverse_add(explicit))
         for facets, _ in self.outlets:
             kernels.open_boundary(facets.cell, facets.local, facets.area_normal, flux, values)
+        lift = self.nodal_zeros((d,))
+        self._transport.fix(self.fixed, lift, self.boundary_velocity)
+        self.complete(explicit, lift)
         rhs = self.mass0[:, None] * u / dt + self.force + explicit
-        lift, at = self.nodal_zeros((d,)), self._at_fixed
-        elements = values[at]
-        values[at] = kernels.fixed_rows(self.dofs[at], self.fixed, elements, lift, self.boundary_velocity)
-        self.node_halo.reverse_add(lift)
         self._transport.assemble()
-        values[at] = elements
+        self._transport.release()
         self.transport_solver.new_values()
         own = self.owned_nodes
         diagonal = self._transport.matrix.getDiagonal().array
         system = rhs[:own] + lift[:own]
         new = u.copy()
-        system[self.fixed[:own]] = (diagonal[:, None] * self.boundary_velocity[:own])[self.fixed[:own]]
+        held = self.held[self.held < own]
+        system[held] = diagonal[held, None] * self.boundary_velocity[held]
         for k in range(d):
             new[:own, k] = self.transport_solver.solve(system[:, k], u[:own, k])
         self.node_halo.forward(new)
         # one evaluation of the fluxes at the solution makes the balance exact whatever the solver's tolerance
-        self.cell_mass = self.density * phi * self.volume
         self.mass = self.nodal_zeros(())
         kernels.scatter(self.dofs, self.cell_mass[:, None], self.mass[:, None])
         balance = self.nodal_zeros((d,))
         kernels.apply_elements(self.dofs, values, new, balance)
-        self.complete(self.mass, balance)
+        self.complete(self.mass, balance, defect)
+        self._correction = defect / self.mass[:, None]
         exact = new + dt * (rhs + balance) / self.mass[:, None]
-        exact[self.fixed] = new[self.fixed]
+        exact[self.held] = new[self.held]
         self.reaction = -rhs - balance  # at fixed nodes: what the wall adds per time to hold the velocity
         self.impose(exact)
         return exact - dt * self._force_ahead(dt) / self.mass[:, None]
@@ -300,18 +305,16 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         out = force.copy()
         for nodes, normal in self.slip:
             out[nodes] += normal * (normal * (ahead - force)[nodes]).sum(1)[:, None]
-        out[self.fixed] = ahead[self.fixed]
+        out[self.held] = ahead[self.held]
         return out
 
-    def _fade(self, dt, phi0, phi, q, u):
-        """What the nodes cannot represent fades at the rate of convection and viscosity; its momentum is kept."""
+    def _fade(self, dt, q, u):
+        """What the nodes cannot represent fades at the rate of convection and viscosity; nodal sums of the momentum it lost."""
         d = self.dimension
         kept, defect = np.empty_like(q), self.nodal_zeros((d,))
         kernels.memory(self.dofs, self.cell_mass0, self.cell_mass, q, u, self.h, dt, self.viscosity / self.density, self.theta,
                        self.damping, self.gain, self.nodal_gain, kept, defect)
-        self.complete(defect)
-        self._correction = defect / self.mass[:, None]
-        return kept
+        return kept, defect
 
     def _exchange(self, dt, phi, share, rate, drag, source, nodal, transported):
         """Stage 3: drag and pressure together; an exact projection with the drag on the diagonal."""
