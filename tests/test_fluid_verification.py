@@ -124,11 +124,11 @@ def test_manufactured_solutions(case):
 
 @pytest.mark.parametrize("case", [0, 1])
 def test_manufactured_errors_beside_lethe(reference, case):
-    """1105 nodes and the default scheme beside Lethe's Q1-Q1 on 1089: velocity within 5 %, pressure less than half."""
+    """1105 nodes and the default scheme beside Lethe's Q1-Q1 on 1089: both errors are smaller, that of the pressure by half."""
     row = next(r for r in reference("lethe_vans_mms_errors.csv") if (r["case"], r["vans_model"]) == (f"case{case}", "A")
                and r["cells_quads_on_[-1,1]^2"] == 1024)
-    velocity, pressure = manufactured_errors(case, 23, 0.005, 400, 2)
-    assert velocity < 1.05 * row["L2_error_velocity_Q1Q1_GLS"] and pressure < 0.5 * row["L2_error_pressure"]
+    velocity, pressure = manufactured_errors(case, 23, 0.01, 200, 2)
+    assert velocity < row["L2_error_velocity_Q1Q1_GLS"] and pressure < 0.5 * row["L2_error_pressure"]
 
 
 def test_womersley_flow():
