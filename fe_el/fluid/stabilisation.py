@@ -3,47 +3,42 @@ import numpy as np
 from numba import njit
 
 from fe_el.checks import require_positive
-from fe_el.fluid import kernels
+from fe_el.fluid.for_each_dimension import D, M, by_dimension
 
 
-@njit(cache=True, fastmath=kernels.FAST)
-def _convection(dofs, grad, volume, flux, u, share_out, along):
-    """Convection M . grad u of each cell, and its integral shared out to the nodes."""
-    n, m = dofs.shape
-    d = u.shape[1]
-    for c in range(n):
-        for k in range(d):
-            along[c, k] = 0.0
-        for i in range(m):
-            slope = 0.0
-            for j in range(flux.shape[1]):
-                slope += grad[c, i, j] * flux[c, j]
-            for k in range(d):
-                along[c, k] += slope * u[dofs[c, i], k]
-        for k in range(d):
-            part = volume[c] / m * along[c, k]
-            for i in range(m):
-                share_out[dofs[c, i], k] += part
+@by_dimension
+def _convection(dofs, grad, volume, flux, u, share_out):
+    """The integral of the convection M . grad u of each cell, shared out to the nodes."""
+    for c in range(len(dofs)):
+        for k in range(D):
+            along = 0.0
+            for i in range(M):
+                slope = 0.0
+                for j in range(D):
+                    slope += grad[c, i, j] * flux[c, j]
+                along += slope * u[dofs[c, i], k]
+            for i in range(M):
+                share_out[dofs[c, i], k] += volume[c] / M * along
 
 
-@njit(cache=True, fastmath=kernels.FAST)
+@by_dimension
 def _streamline(dofs, grad, volume, flux, weight, mean, values, rhs):
     """Add weight (M . grad u - mean, M . grad w); the nodal mean of the last step goes to ``rhs``."""
-    n, m = dofs.shape
-    slope = np.empty(m)
-    for c in range(n):
-        for i in range(m):
+    slope = np.empty(M)
+    for c in range(len(dofs)):
+        for i in range(M):
             slope[i] = 0.0
-            for j in range(flux.shape[1]):
+            for j in range(D):
                 slope[i] += grad[c, i, j] * flux[c, j]
-        for i in range(m):
-            for j in range(m):
+        for i in range(M):
+            for j in range(M):
                 values[c, i, j] += weight[c] * volume[c] * slope[i] * slope[j]
-            for k in range(rhs.shape[1]):
-                average = 0.0
-                for j in range(m):
-                    average += mean[dofs[c, j], k]
-                rhs[dofs[c, i], k] += weight[c] * volume[c] * slope[i] * average / m
+        for k in range(D):
+            average = 0.0
+            for j in range(M):
+                average += mean[dofs[c, j], k]
+            for i in range(M):
+                rhs[dofs[c, i], k] += weight[c] * volume[c] * slope[i] * average / M
 
 
 @njit(cache=True)
@@ -81,15 +76,13 @@ class Streamline:
 
     def __call__(self, air, share, flux, u, values, rhs):
         """Add the terms to the element matrices and to the nodal right-hand side; collective."""
-        mass = air.nodal_zeros((1,))
-        mean, along = air.nodal_zeros((air.dimension,)), np.empty((air.num_cells, air.dimension))
-        kernels.scatter(air.dofs, air.volume[:, None], mass)
-        _convection(air.dofs, air.gradient, air.volume, flux, u, mean, along)
-        air.complete(mass, mean)
+        mean = air.nodal_zeros((air.dimension,))
+        _convection(air.dofs, air.gradient, air.volume, flux, u, mean)
+        air.complete(mean)
         density = air.density * share
         rate = 2 * np.linalg.norm(flux, axis=1) / density / air.h + 4 * air.viscosity / air.density / air.h ** 2
         weight = self.factor / np.maximum(rate, 1e-300) / density
-        _streamline(air.dofs, air.gradient, air.volume, flux, weight, mean / mass, values, rhs)
+        _streamline(air.dofs, air.gradient, air.volume, flux, weight, mean / air.node_volume, values, rhs)
 
 
 class Upwind:

@@ -1,5 +1,6 @@
 """The volume-averaged Navier-Stokes equations, model A, by a cell-node scheme on simplices."""
 import time
+from functools import cached_property
 
 import numpy as np
 from dolfinx import fem
@@ -217,6 +218,14 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
     def nodal_zeros(self, shape):
         """Zeros (nodes, *shape)."""
         return np.zeros((self.nodes, *shape))
+
+    @cached_property
+    def node_volume(self):
+        """(nodes, 1) volume that belongs to each node [m^3]; collective when it is first asked for."""
+        total = self.nodal_zeros((1,))
+        kernels.scatter(self.dofs, self.volume[:, None], total)
+        self.complete(total)
+        return total
 
     def complete(self, *sums):
         """Make nodal sums of owned cells complete on every rank."""

@@ -56,7 +56,7 @@ class Ghosts:
     """
 
     def __init__(self, comm, position, reach, period=None):
-        self.comm, n = comm, len(position)
+        self.comm, self.requests, n = comm, None, len(position)
         steps = [(-1, 0, 1) if period is not None and period[k] > 0 else (0,) for k in range(3)]
         offsets = [np.array(o, float) * (0 if period is None else period) for o in itertools.product(*steps)]
         low, high, _ = bounds(position)
@@ -106,6 +106,10 @@ class Ghosts:
         for request in self.requests or []:
             request.Free()
         self.requests = None
+
+    def __del__(self):
+        if not MPI.Is_finalized():
+            self.free()
 
     def keep(self, used):
         """Give up the ghosts that are not ``used`` (ghosts,), here and where they come from. Collective."""
