@@ -91,7 +91,7 @@ def _pairs_with(n, begin, end, rows, order, owned, skin, first, second, number):
 
 
 @njit(cache=True)
-def _search(x, order, rows, start, owned, skin, lower, size, shape, offset, first, second):
+def _search(order, rows, start, owned, skin, lower, size, shape, offset, first, second):
     """Fill the pairs closer than the skin, the first one owned; returns their number (beyond the capacity: only counted).
 
     Boxes that follow each other in the last direction follow each other in memory: their particles are one range.
@@ -158,10 +158,10 @@ def neighbour_pairs(x, radius, owned, skin):
     cloud = _sorted_by_box(x, radius, level, lower, size, shape, offset)
     capacity = 6 * len(x) + 64
     first, second = np.empty(capacity, np.uint32), np.empty(capacity, np.uint32)
-    number = _search(x, *cloud, owned, skin, lower, size, shape, offset, first, second)
+    number = _search(*cloud, owned, skin, lower, size, shape, offset, first, second)
     if number > capacity:
         first, second = np.empty(number, np.uint32), np.empty(number, np.uint32)
-        _search(x, *cloud, owned, skin, lower, size, shape, offset, first, second)
+        _search(*cloud, owned, skin, lower, size, shape, offset, first, second)
     return _by_first(first[:number], second[:number], owned)
 
 

@@ -19,9 +19,9 @@ def add_contact(block, m, i, k, wall, dx, dy, dz, radius):
 
 
 @njit(cache=True, fastmath=FAST)
-def _gather(b, m, who, at, state, flat, spring, stamp, step):
+def _gather(b, m, who, at, state, spring, stamp, step):
     """Rows of the particles and springs of m contacts, a multiple of four."""
-    one, width, old = (1.0, 1.0, 1.0, 1.0), spring.shape[1], step - 1
+    one, width, old, rest = (1.0, 1.0, 1.0, 1.0), spring.shape[1], step - 1, state.reshape(state.size)[4:]
     for n in range(0, m, 4):
         k = at[n], at[n + 1], at[n + 2], at[n + 3]
         i, last = four_of(who, (n, n + 1, n + 2, n + 3)), four_of(stamp, k)
@@ -30,7 +30,7 @@ def _gather(b, m, who, at, state, flat, spring, stamp, step):
         stamp[k[0]] = stamp[k[1]] = stamp[k[2]] = stamp[k[3]] = step
         radius = b[n + 4 * B], b[n + 1 + 4 * B], b[n + 2 + 4 * B], b[n + 3 + 4 * B]
         scaled_to_block(b, n + 5 * B, state, 8, i, one)  # radius and velocity: rows 5 to 8
-        scaled_to_block(b, n + 9 * B, flat[4:], 8, i, radius)  # r w and inverse mass: rows 9 to 12
+        scaled_to_block(b, n + 9 * B, rest, 8, i, radius)  # r w and inverse mass: rows 9 to 12
         scaled_to_block(b, n + 13 * B, spring, width, k, keep)
         for q in range(4):
             b[n + q + 34 * B] = 0.5 * keep[q]
@@ -69,7 +69,7 @@ def finish_block(block, m, x, state, force, material, spring, stamp, step, motio
     if not constant_rows(b, numbers):
         for n in range(full):
             material_row(b, n, numbers, material[who[n]], wall_material[wall_of[n]])
-    _gather(b, full, who, at, state, state.reshape(state.size), spring, stamp, step)
+    _gather(b, full, who, at, state, spring, stamp, step)
     if np.any(motion[:, 3:]):
         _subtract_motion(b, full, who, wall_of, x, motion)
     if numbers.needs_radius:
