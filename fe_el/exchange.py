@@ -68,7 +68,7 @@ class Halo:
         return self._plans[key]
 
     def __del__(self):
-        if not MPI.Is_finalized():
+        if MPI is not None and not MPI.Is_finalized():  # None where Python is about to end
             for *_, messages in self._plans.values():
                 for message in messages:
                     message.Free()

@@ -148,3 +148,28 @@ def test_pairs_left_out_as_too_far_never_touch():
         order = np.argsort(beads.id)
         runs.append(np.hstack([beads.position[order], beads.velocity[order]]))
     assert np.abs(runs[0] - runs[1]).max() < 1e-10 * np.abs(runs[0]).max()
+
+
+def test_waves_through_a_large_bed_give_the_same_to_the_last_digit(monkeypatch):
+    """Sub-steps that follow each other through slabs of a periodic bed on a floor, against one after the other."""
+    from fe_el.particles import waves
+    states = []
+    for at_once in (1, 8):
+        monkeypatch.setattr(waves, "FROM", 100)
+        monkeypatch.setattr(waves, "SLAB", 20)
+        if at_once == 1:
+            monkeypatch.setattr(waves, "slabs", lambda x, *_: np.zeros(len(x), np.int64))
+        else:
+            monkeypatch.undo()
+            monkeypatch.setattr(waves, "FROM", 100)
+            monkeypatch.setattr(waves, "SLAB", 20)
+        mesh, tags = fe_el.periodic_box((0.06, 0.01, 0.02), (12, 3, 3), (True, True, False))
+        beads = fe_el.Particles(mesh, 2500.0, (0, 0, -9.81))
+        beads.insert_on_lattice((0, 0, 0), (0.06, 0.01, 0.02), np.full(900, 1e-3), seed=1)
+        contacts = fe_el.Contacts(beads, fe_el.LinearSpringDashpot(1e3, 0.9, 0.1), (tags, 5))
+        for _ in range(40):
+            beads.advance(5e-4, contacts)
+        order = np.argsort(beads.id)
+        states.append(np.hstack([beads.position, beads.velocity])[order])
+    assert (len(contacts.lists.waves[0]) > 10) and contacts.touching > 100
+    assert np.abs(states[0] - states[1]).max() < 1e-8 * np.abs(states[0]).max()

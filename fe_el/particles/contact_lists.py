@@ -3,10 +3,10 @@ import numpy as np
 
 from fe_el import mesh as _mesh
 from fe_el.exchange import largest_of, move
-from fe_el.particles import motion, neighbours
+from fe_el.particles import motion, neighbours, waves
 from fe_el.particles import walls as _walls
 from fe_el.particles.ghosts import Ghosts
-from fe_el.particles.law_kernels import aligned
+from fe_el.particles.law_kernels import aligned, room
 from fe_el.particles.wall_shapes import FACETS, shape_list
 
 SORT_EVERY = 8  # rebuilds
@@ -37,6 +37,7 @@ class ContactLists:
         self.shape = np.array([getattr(w, "shape", np.zeros(4)) for w in walls] or [np.zeros(4)])
         self.motion = np.array([w.motion() for w in walls] or [np.zeros(9)])
         self.wall_material = np.array([w.material for w in walls] or [0], np.int64)
+        self.slab_starts, self.slab_layout, self.waves = None, None, waves.NONE
         self.ghosts, self.springs, self.restored, self.has_shapes = None, None, None, bool((self.kind != FACETS).any())
 
     def wall_speed(self):
@@ -71,18 +72,20 @@ class ContactLists:
         before, destination = p.id, p.locate()
         if destination is not None:
             kept = self._move_springs(kept, destination, before)
-        if self.rebuilds % SORT_EVERY == 0 or layout is None:
-            kept = self._sort(kept, largest + self.skin)
+        in_slabs = comm.size == 1 and len(p) >= waves.FROM
+        if self.rebuilds % SORT_EVERY == 0 or layout is None or in_slabs and self.slab_layout != p.layout:
+            kept = self._sort(kept, largest + self.skin, in_slabs)
         if self.ghosts is not None:
             self.ghosts.free()
         self.ghosts = Ghosts(comm, p.position, largest + self.skin, p.period)
         x, pairs = self._pairs()
         self.radius, self.inverse_mass = self.ghosts.grow(p.diameter / 2), self.ghosts.grow(1 / p.mass)
         self.ids, self.material = self.ghosts.grow(p.id), self.ghosts.grow(p.material).view(np.uint32)
-        self.x, (self.state, self.force) = np.empty((len(self.radius), 3)), (aligned(len(self.radius), 8) for _ in range(2))
+        self.x, (self.state, self.force) = room(len(self.radius), 3), (aligned(len(self.radius), 8) for _ in range(2))
         self.state[:, 0], self.state[:, 7] = self.radius, self.inverse_mass / self.radius
         self._lists(x, pairs, kept, step)
-        self.x0, self.age = p.position.copy(), 0
+        self.x0, self.age = room(*p.position.shape), 0
+        self.x0[:] = p.position
         self.rebuilds += 1
 
     def _choose_skin(self, smallest, largest, speed, h):
@@ -111,15 +114,18 @@ class ContactLists:
             raise ValueError(f"The periodic box has lengths {p.period.tolist()}; contacts of particles of diameter {largest:g} m "
                              f"need at least {need:g} m in every periodic direction.")
 
-    def _sort(self, kept, size):
-        """Order the particles by boxes of two reaches along a Morton curve, for cache locality."""
+    def _sort(self, kept, size, in_slabs):
+        """Order the particles by boxes of two reaches along a Morton curve, for cache locality, and by slabs before that."""
         p = self.particles
         if not len(p):
             return kept
-        order = np.lexsort((p.id, neighbours.morton_code(p.position, neighbours.bounds(p.position)[0], 2 * size)))
+        slab = waves.slabs(p.position, p.period, size) if in_slabs else np.zeros(len(p), np.int64)
+        order = np.lexsort((p.id, neighbours.morton_code(p.position, neighbours.bounds(p.position)[0], 2 * size), slab))
         place = np.empty_like(order)
         place[order] = np.arange(len(order))
         p.select(order)
+        self.slab_layout = p.layout if in_slabs else None
+        self.slab_starts = np.concatenate([[0], np.cumsum(np.bincount(slab))])
         return [(place[particle], partner, spring) for particle, partner, spring in kept]
 
     def _collect(self, step, layout):
@@ -179,6 +185,12 @@ class ContactLists:
         """Pairs, facets and shapes near each particle, with the kept springs."""
         p, n = self.particles, len(self.particles)
         self.first, self.second = pairs
+        in_slabs = self.slab_layout == p.layout
+        if in_slabs:
+            count = len(self.slab_starts) - 1
+            slab = self.ghosts.grow(np.repeat(np.arange(count), np.diff(self.slab_starts)))
+            self.first, self.second = (room(len(a), kind=np.uint32) for a in pairs)
+            pair_starts, apart = waves.by_slab(*pairs, slab, count, self.first, self.second)
         self.gap = neighbours.gaps(x, self.radius, self.first, self.second)
         empty = np.zeros(0, np.uint32)
         self.wall_particle = self.wall_facet = self.shape_particle = self.shape_wall = empty
@@ -190,11 +202,17 @@ class ContactLists:
             self.shape_particle, self.shape_wall = (a.view(np.uint32) for a in near)
         self.scratch = _walls.scratch(self.wall_particle)
         self.wall_gap = _walls.wall_gaps(x, self.radius, self.wall_particle, self.wall_facet, self.facet_rows[0])
-        self.listed, self.wall_listed = (np.empty(len(a) + 1, np.uint32) for a in (self.gap, self.wall_gap))
+        self.listed, self.wall_listed = (room(len(a) + 1, kind=np.uint32) for a in (self.gap, self.wall_gap))
         self.near = (-1.0, 0, 0)  # see update_near
+        self.waves = waves.NONE
+        if in_slabs:
+            images = np.argsort(slab[n:], kind="stable")
+            places = [np.searchsorted(a, b) for a, b in ((self.wall_particle, self.slab_starts), (self.shape_particle, self.slab_starts),
+                                                         (slab[n:][images], np.arange(count + 1)))]
+            self.waves = (self.slab_starts, pair_starts, *places, images, apart)
         self.springs, self.stamps = [], []
         for where, old in zip(self._partners(), kept):
-            spring, stamp = aligned(len(where[0]), self.width), np.empty(len(where[0]), np.int32)
+            spring, stamp = aligned(len(where[0]), self.width), room(len(where[0]), kind=np.int32)
             neighbours.restore_springs(*where, n, *old, step, spring, stamp)
             self.springs.append(spring)
             self.stamps.append(stamp)

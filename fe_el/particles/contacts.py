@@ -6,6 +6,7 @@ import numpy as np
 
 from fe_el.checks import require_positive
 from fe_el.exchange import largest_of, raise_everywhere
+from fe_el.messages import largest, ranks_of
 from fe_el.particles import contact_lists, motion
 from fe_el.particles.array_law import ArrayLaw, array_forces
 from fe_el.particles.law_kernels import new_block
@@ -54,7 +55,7 @@ class Contacts:
             raise ValueError("An ArrayLaw acts between particles only; give walls a wall_law, for instance HertzMindlin.")
         self._check_materials()
         self.lists = contact_lists.ContactLists(particles, self.walls, skin, self._spring_width())
-        self.block, self.step, self.layout, self.stale = new_block(), 1, None, False
+        self.block, self.step, self.layout, self.stale, self.ranks = new_block(), 1, None, False, ranks_of(particles.comm)
         self.seconds = {"neighbours": 0.0, "contacts": 0.0}
         self.touching, self.touching_walls, self.largest_overlap, self.steps_last, self.behind = 0, 0, 0.0, 0, None
 
@@ -84,11 +85,11 @@ class Contacts:
         np.maximum.at(light, kind, 1 / p.mass)
         np.maximum.at(small, kind, 2 / p.diameter)
         extremes = (p.speed(), p.diameter.max()) if len(p) else np.zeros(2)
-        speed, largest, *rest = largest_of(p.comm, *extremes, *light, *small)
+        speed, biggest, *rest = largest_of(p.comm, *extremes, *light, *small)
         light, small = np.array(rest).reshape(2, count)
-        if not largest > 0:
+        if not biggest > 0:
             raise ValueError("There are no particles; insert some before advancing contacts.")
-        speed = max(2 * speed, np.sqrt(np.linalg.norm(p.gravity) * largest), 1e-3)
+        speed = max(2 * speed, np.sqrt(np.linalg.norm(p.gravity) * biggest), 1e-3)
         there = light > 0
         times = [self._shortest(self.law, light + light[:, None], small + small[:, None], there & there[:, None], speed)]
         if self.walls:
@@ -144,8 +145,7 @@ class Contacts:
         external = p.mass[:, None] * p.gravity + p.force
         x, state, force = lists.pack(external)
         drift = external, 10.0 / (p.mass * p.diameter ** 2), lists.x0
-        alone = p.comm.size == 1 and not isinstance(self.law, ArrayLaw)
-        steps = self._compiled_steps(h, most, drift) if alone else self._steps(h, most, drift)
+        steps = self._steps(h, most, drift) if isinstance(self.law, ArrayLaw) else self._compiled_steps(h, most, drift)
         self._check_behind()
         self._check_finite(x[:n], force)
         motion.kick(state, force, lists.inverse_mass, drift[1], 0.5 * h, n)
@@ -154,32 +154,30 @@ class Contacts:
         return steps
 
     def _steps(self, h, most, drift):
-        """Sub-steps with any law and number of ranks."""
-        lists, comm, part, steps, wall_speed = self.lists, self.particles.comm, 0.5, 0, self.lists.wall_speed()
+        """Sub-steps with any law."""
+        lists, part, steps, wall_speed = self.lists, 0.5, 0, self.lists.wall_speed()
         x, state, force = lists.x, lists.state, lists.force
         external, inverse_inertia, x0 = drift
         self.stale = False
         while steps < most and not self.stale:
-            moved = motion.kick_and_drift(x, state, force, external, lists.inverse_mass, inverse_inertia, x0, part, h, len(x0))
+            moved, _, _ = motion.kick_and_drift(x, state, force, external, lists.inverse_mass, inverse_inertia, x0, part, h, 0, len(x0))
             part, steps = 1.0, steps + 1
-            if lists.ghosts.busy:
-                lists.ghosts.forward_state(x, state)
-                force[len(x0):] = 0.0
+            lists.ghosts.forward_state(x, state)
+            force[len(x0):] = 0.0
             if lists.has_shapes:
                 move_walls(lists.kind, lists.shape, lists.motion, h)
-            if comm.size > 1:
-                moved = largest_of(comm, moved)[0]
+            moved = largest(self.ranks, moved)
             self._forces(h, moved)
             lists.age += 1
             self.stale = not math.sqrt(moved) + wall_speed * h * lists.age <= 0.5 * lists.skin
         return steps
 
     def _compiled_steps(self, h, most, drift):
-        """The same in one call, on one rank and with a built-in law."""
+        """The same in one call, with a built-in law."""
         lists, rows = self.lists, self._rows()
         steps, self.stale, self.touching, behind, self.largest_overlap, lists.near = sub_steps(
-            most, h, 0.5, lists.age, lists.skin, lists.wall_speed(), rows[0], drift, lists.ghosts.images, *rows[1:], self.step,
-            self.block, self._numbers(), self.largest_overlap)
+            most, h, lists.age, lists.skin, lists.wall_speed(), rows[0], drift, lists.ghosts.rows(), self.ranks, lists.waves,
+            *rows[1:], self.step, self.block, self._numbers(), self.largest_overlap)
         self.step, lists.age = self.step + steps, lists.age + steps
         self.behind = behind if behind >= 0 else self.behind
         return steps

@@ -5,6 +5,8 @@ import numpy as np
 from mpi4py import MPI
 from numba import njit
 
+from fe_el.messages import exchange, messages_of
+from fe_el.particles.law_kernels import room
 from fe_el.particles.neighbours import bounds
 
 
@@ -39,6 +41,16 @@ def unpack(packed, shift, first, owned, x, state):
         for k in range(3):
             x[i, k] = packed[n, k] + shift[i - owned, k]
             state[i, 1 + k], state[i, 4 + k] = packed[n, 3 + k], packed[n, 6 + k]
+
+
+@njit(cache=True)
+def forward_state(ghosts, owned, x, state):
+    """Set the ghosts' positions (shifted for periodic images), velocities and angular velocities, in place. Collective."""
+    abroad, outgoing, incoming, images, image_rows, shift, messages = ghosts
+    pack(abroad, x, state, outgoing)
+    pack(images, x, state, image_rows)
+    exchange(messages)
+    unpack(incoming, shift, owned, owned, x, state)
 
 
 class Ghosts:
@@ -84,13 +96,13 @@ class Ghosts:
         me = self.comm.rank
         self.abroad = np.concatenate([rows for rank, rows in enumerate(self.send) if rank != me] or [np.zeros(0, np.int64)])
         self.outgoing, self.incoming = np.empty((len(self.abroad), 9)), np.empty((self.number, 9))
-        self.images = (self.send[me], self.incoming[slice(*(k - owned for k in (self.receive[me].start, self.receive[me].stop)))],
-                       self.shift)  # of this rank's own particles
         self.requests = None
 
-    def _prepare(self):
-        """Messages that are the same until the ghosts change."""
-        receives, sends, at = [], [], 0
+    def rows(self):
+        """What :func:`forward_state` needs; messages are made once, they are the same until the ghosts change."""
+        if self.requests is not None:
+            return self._rows
+        receives, sends, at, me = [], [], 0, self.comm.rank
         for rank, (rows, where) in enumerate(zip(self.send, self.receive)):
             if rank == self.comm.rank:
                 continue
@@ -100,6 +112,9 @@ class Ghosts:
                 sends.append(self.comm.Send_init(self.outgoing[at:at + len(rows)], dest=rank))
                 at += len(rows)
         self.requests = receives + sends
+        images = self.incoming[self.receive[me].start - self.owned:self.receive[me].stop - self.owned]
+        self._rows = (self.abroad, self.outgoing, self.incoming, self.send[me], images, self.shift, messages_of(self.requests))
+        return self._rows
 
     def free(self):
         """Release the messages, before the ghosts are made anew."""
@@ -108,7 +123,7 @@ class Ghosts:
         self.requests = None
 
     def __del__(self):
-        if not MPI.Is_finalized():
+        if MPI is not None and not MPI.Is_finalized():  # None where Python is about to end
             self.free()
 
     def keep(self, used):
@@ -121,7 +136,7 @@ class Ghosts:
 
     def grow(self, array):
         """A copy of an owned array with the ghosts' values behind it."""
-        out = np.empty((self.owned + self.number, *array.shape[1:]), array.dtype)
+        out = room(self.owned + self.number, *array.shape[1:], kind=array.dtype)
         out[:self.owned] = array
         return self.forward(out)
 
@@ -142,11 +157,4 @@ class Ghosts:
 
     def forward_state(self, x, state):
         """Set the ghosts' positions (shifted for periodic images), velocities and angular velocities, in place."""
-        if self.requests is None:
-            self._prepare()
-        pack(self.abroad, x, state, self.outgoing)
-        pack(self.images[0], x, state, self.images[1])
-        if self.requests:
-            MPI.Prequest.Startall(self.requests)
-            MPI.Request.Waitall(self.requests)
-        unpack(self.incoming, self.shift, self.owned, self.owned, x, state)
+        forward_state(self.rows(), self.owned, x, state)

@@ -16,12 +16,16 @@ def kick(state, force, inverse_mass, inverse_inertia, h, owned):
 
 
 @njit(cache=True, fastmath=FAST)
-def kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0, part, h, owned):
-    """Kick by ``part`` of a step, drift by a step, reset the forces; returns the largest squared displacement from x0."""
-    largest = 0.0
-    for i in range(owned):
-        a, b, s = part * h * inverse_mass[i], part * h * inverse_inertia[i], 0.0
+def kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0, part, h, begin, end):
+    """Kick some particles by ``part`` of a step, drift by a step, reset their forces.
+
+    Returns the largest squares of their displacement from x0, velocity, and change of velocity.
+    """
+    largest, fastest, hardest = 0.0, 0.0, 0.0
+    for i in range(begin, end):
+        a, b, s, v, c = part * h * inverse_mass[i], part * h * inverse_inertia[i], 0.0, 0.0, 0.0
         for k in range(3):
+            c += a * force[i, k] * (a * force[i, k])
             state[i, 1 + k] += a * force[i, k]
             state[i, 4 + k] += b * force[i, 4 + k]
             x[i, k] += h * state[i, 1 + k]
@@ -29,10 +33,12 @@ def kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0,
             force[i, 4 + k] = 0.0
             q = x[i, k] - x0[i, k]
             s += q * q
+            v += state[i, 1 + k] * state[i, 1 + k]
         force[i, 3] = force[i, 7] = 0.0
+        fastest, hardest = max(v, fastest), max(c, hardest)
         if not s <= largest:
             largest = s
-    return largest
+    return largest, fastest, hardest
 
 
 @njit(cache=True)

@@ -1,13 +1,15 @@
-"""Sub-steps of contacts: one for any laws and ranks, and many at once in compiled code where nothing else has a say."""
+"""Sub-steps of contacts: one for any law, and many at once in compiled code with the built-in laws."""
 import math
 
 from numba import njit
 
-from fe_el.particles.ghosts import pack, unpack
+from fe_el.messages import largest
+from fe_el.particles.ghosts import forward_state
 from fe_el.particles.motion import kick_and_drift
 from fe_el.particles.pair_forces import pair_forces
 from fe_el.particles.wall_shapes import move_walls, shape_forces
 from fe_el.particles.walls import facet_forces
+from fe_el.particles.waves import part_of, refresh_images, wave_length
 
 
 @njit(cache=True)
@@ -64,9 +66,44 @@ def all_forces(particles, pairs, found, near, facets, shapes, walls, moved, skin
 
 
 @njit(cache=True)
-def sub_steps(most, h, part, age, skin, wall_speed, particles, drift, images, pairs, found, near, facets, shapes, walls, step,
-              block, laws, deepest):
-    """Sub-steps of one rank with built-in laws, at most ``most``, until the lists are out of date.
+def wave(number, ahead, h, particles, drift, ghosts, waves, pairs, found, near, facets, shapes, walls, skin, step, block, laws,
+         deepest):
+    """``number`` sub-steps that follow each other through the slabs; displacements are meant to stay below ``ahead``.
+
+    Returns:
+        largest squares of displacement, velocity and its change, and what :func:`all_forces` returns.
+    """
+    x, state, force, radius, inverse_mass, material = particles
+    external, inverse_inertia, x0 = drift
+    starts, pair_at, wall_at, shape_at, image_at, images, apart = waves
+    owned, slabs, touching, behind = len(x0), len(starts) - 1, 0, -1
+    moved, speed, change, listed = 0.0, 0.0, 0.0, -1
+    near = update_near(ahead * ahead, skin, *found, *near)
+    for row in range(slabs + (number - 1) * (apart + 1)):
+        for s in range(number):
+            c = row - s * (apart + 1)
+            if c < 0 or c >= slabs:
+                continue
+            d2, v2, c2 = kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0, 1.0, h, starts[c], starts[c + 1])
+            moved, speed, change = max(moved, d2), max(speed, v2), max(change, c2)
+            moved = moved if d2 == d2 else math.inf
+            refresh_images(images[image_at[c]:image_at[c + 1]], ghosts[3], ghosts[5], owned, x, state, force)
+            near = update_near(moved, skin, *found, *near)
+            if near[1] != listed:
+                listed, a, b = near[1], part_of(found[2], near[1], pair_at), part_of(found[3], near[2], wall_at)
+            e = shape_at[c], shape_at[c + 1]
+            own = shapes[0][e[0]:e[1]], shapes[1][e[0]:e[1]], shapes[2][e[0]:e[1]], shapes[3][e[0]:e[1]], shapes[4], shapes[5]
+            n, back = wall_forces(particles, found[3][b[c]:b[c + 1]], facets, own, walls, step + s, block, laws[1], h)
+            m, deepest = pair_forces(x, state, force, radius, material, found[2][a[c]:a[c + 1]], *pairs, step + s, block, laws[0], h,
+                                     deepest)
+            behind, touching = max(back, behind), touching + (n + m if s == number - 1 else 0)
+    return moved, speed, change, touching, behind, max(deepest, walls[3][0]), near
+
+
+@njit(cache=True)
+def sub_steps(most, h, age, skin, wall_speed, particles, drift, ghosts, ranks, waves, pairs, found, near, facets, shapes, walls,
+              step, block, laws, deepest):
+    """Sub-steps with built-in laws, at most ``most``, until the lists are out of date; the first kick is half a step. Collective.
 
     Returns:
         sub-steps made, whether the lists are out of date, and what :func:`all_forces` returns, of any sub-step for a particle
@@ -74,16 +111,24 @@ def sub_steps(most, h, part, age, skin, wall_speed, particles, drift, images, pa
     """
     x, state, force, _, inverse_mass, _ = particles
     external, inverse_inertia, x0 = drift
-    owned, made, touching, behind, stale = len(x0), 0, 0, -1, False
+    owned, made, touching, behind, stale, number, ahead, part = len(x0), 0, 0, -1, False, 1, 0.0, 0.5
     while made < most and not stale:
-        moved = kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0, part, h, owned)
-        part, made = 1.0, made + 1
-        pack(images[0], x, state, images[1])
-        unpack(images[1], images[2], owned, owned, x, state)
-        force[owned:] = 0.0
-        move_walls(shapes[4], shapes[5], walls[0], h)
-        touching, back, deepest, near = all_forces(particles, pairs, found, near, facets, shapes, walls, moved, skin, step + made,
-                                                   block, laws, h, deepest)
-        behind = max(behind, back)
-        stale = not math.sqrt(moved) + wall_speed * h * (age + made) <= 0.5 * skin
+        if number == 1:
+            moved, speed, change = kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0, part, h, 0, owned)
+            forward_state(ghosts, owned, x, state)
+            force[owned:] = 0.0
+            move_walls(shapes[4], shapes[5], walls[0], h)
+            moved = largest(ranks, moved)
+            touching, back, deepest, near = all_forces(particles, pairs, found, near, facets, shapes, walls, moved, skin,
+                                                       step + made + 1, block, laws, h, deepest)
+        else:
+            moved, speed, change, touching, back, deepest, near = wave(
+                number, ahead, h, particles, drift, ghosts, waves, pairs, found, near, facets, shapes, walls, skin, step + made + 1,
+                block, laws, deepest)
+        behind, made, part = max(behind, back), made + number, 1.0
+        room = 0.5 * skin - math.sqrt(moved)
+        stale = not wall_speed * h * (age + made) <= room
+        if len(waves[0]) > 1 and wall_speed == 0.0 and not stale:
+            number, ahead = wave_length(most - made, room, h, math.sqrt(speed), math.sqrt(change))
+            ahead += math.sqrt(moved)
     return made, stale, touching, behind, deepest, near
