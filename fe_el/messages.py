@@ -3,6 +3,7 @@
 Handles are passed as what they are in memory, so that any MPI that mpi4py was built with will do.
 """
 import ctypes
+import math
 
 import llvmlite.binding
 import numpy as np
@@ -47,7 +48,7 @@ def exchange(messages):
 def largest(ranks, number):
     """Largest of a number over all ranks; what is not a number counts as infinite. Collective."""
     size, comm, kind, operation, room = ranks
-    number = number if number == number else np.inf
+    number = math.inf if math.isnan(number) else number
     if size == 1:
         return number
     room[0] = number

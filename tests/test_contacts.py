@@ -3,6 +3,8 @@ import numpy as np
 import pytest
 
 import fe_el
+from fe_el.particles import waves
+from fe_el.particles.contact_lists import ContactLists
 
 
 def two_spheres(restitution, friction=0.0, velocity=0.5, offset=0.0, steps=50):
@@ -150,26 +152,35 @@ def test_pairs_left_out_as_too_far_never_touch():
     assert np.abs(runs[0] - runs[1]).max() < 1e-10 * np.abs(runs[0]).max()
 
 
-def test_waves_through_a_large_bed_give_the_same_to_the_last_digit(monkeypatch):
-    """Sub-steps that follow each other through slabs of a periodic bed on a floor, against one after the other."""
-    from fe_el.particles import waves
-    states = []
-    for at_once in (1, 8):
-        monkeypatch.setattr(waves, "FROM", 100)
-        monkeypatch.setattr(waves, "SLAB", 20)
-        if at_once == 1:
-            monkeypatch.setattr(waves, "slabs", lambda x, *_: np.zeros(len(x), np.int64))
-        else:
-            monkeypatch.undo()
-            monkeypatch.setattr(waves, "FROM", 100)
-            monkeypatch.setattr(waves, "SLAB", 20)
-        mesh, tags = fe_el.periodic_box((0.06, 0.01, 0.02), (12, 3, 3), (True, True, False))
+@pytest.mark.parametrize("period", [(False, True, False), (True, True, False)])
+def test_waves_through_a_large_bed_give_the_same_to_the_last_digit(period, monkeypatch):
+    """Sub-steps that follow each other through slabs of a bed on a floor, against one after the other on the same lists."""
+    monkeypatch.setattr(waves, "FROM", 100)
+    monkeypatch.setattr(waves, "SLAB", 20)
+    rebuild, states = ContactLists.rebuild, []
+
+    def without_waves(lists, *args):
+        rebuild(lists, *args)
+        lists.waves = waves.NONE
+
+    for one_by_one in (False, True):
+        if one_by_one:
+            monkeypatch.setattr(ContactLists, "rebuild", without_waves)
+        mesh, tags = fe_el.periodic_box((0.06, 0.01, 0.02), (12, 3, 3), period)
         beads = fe_el.Particles(mesh, 2500.0, (0, 0, -9.81))
         beads.insert_on_lattice((0, 0, 0), (0.06, 0.01, 0.02), np.full(900, 1e-3), seed=1)
-        contacts = fe_el.Contacts(beads, fe_el.LinearSpringDashpot(1e3, 0.9, 0.1), (tags, 5))
-        for _ in range(40):
+        contacts = fe_el.Contacts(beads, fe_el.LinearSpringDashpot(1e3, 0.9, 0.1), (tags, 5 if period[0] else (1, 2, 5)))
+        for _ in range(60):
             beads.advance(5e-4, contacts)
-        order = np.argsort(beads.id)
-        states.append(np.hstack([beads.position, beads.velocity])[order])
-    assert (len(contacts.lists.waves[0]) > 10) and contacts.touching > 100
-    assert np.abs(states[0] - states[1]).max() < 1e-8 * np.abs(states[0]).max()
+        assert (len(contacts.lists.waves[0]) > 10) != one_by_one and contacts.touching > 100
+        states.append(np.hstack([beads.position, beads.velocity, beads.angular_velocity, beads.contact_force]))
+    assert (states[0] == states[1]).all()
+
+
+def test_a_wave_is_as_long_as_displacements_allow():
+    """Twice the speed, and twice what it gains, over all of its sub-steps; never beyond what is left to do."""
+    assert waves.wave_length(100, 1.0, 0.1, 0.0, 0.0)[0] == waves.AT_ONCE
+    assert waves.wave_length(3, 1.0, 0.1, 0.0, 0.0)[0] == 3
+    assert waves.wave_length(100, 1.0, 0.1, 1.2, 0.0) == (4, pytest.approx(0.96))
+    assert waves.wave_length(100, 1.0, 0.1, 0.0, 0.4) == (3, pytest.approx(0.72))
+    assert waves.wave_length(100, 1.0, 0.1, np.inf, 0.0) == (1, 0.0)

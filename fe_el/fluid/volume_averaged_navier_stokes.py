@@ -1,22 +1,20 @@
 """The volume-averaged Navier-Stokes equations, model A, by a cell-node scheme on simplices."""
 import time
-from functools import cached_property
 
 import numpy as np
 from dolfinx import fem
 
-from fe_el.exchange import Halo
 from fe_el.fluid import kernels
 from fe_el.fluid.boundary_conditions import Boundaries, velocity_at
+from fe_el.fluid.cells_and_nodes import CellsAndNodes
 from fe_el.fluid.continuity import ClosedFlux, Ledger
 from fe_el.fluid.linear_solver import ElementMatrix, LinearSolver
 from fe_el.fluid.pressure_equation import PressureEquation
-from fe_el.mesh import barycentric_maps, check_simplices, owned_corners
 
 START_STEPS = 2  # implicit Euler steps that damp a start which does not fit its boundary conditions
 
 
-class VolumeAveragedNavierStokes(Boundaries, Ledger):
+class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger):
     """Flow of a fluid through the void fraction phi left by particles (model A).
 
         d(rho phi)/dt + div(rho phi u) = 0
@@ -57,27 +55,16 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
     def __init__(self, mesh, facet_tags=None, density=1.2, viscosity=1.8e-5, gravity=None, tolerance=1e-8,
                  mean_pressure_gradient=None, stress_of_mixture=False, turbulence=None, time_order=2,
                  stabilisation=None):
-        check_simplices(mesh)
+        CellsAndNodes.__init__(self, mesh)
         if not (density > 0 and np.isfinite(density)):
             raise ValueError(f"The fluid density is {density}; it must be finite and greater than zero [kg/m^3].")
         if not (viscosity >= 0 and np.isfinite(viscosity)):
             raise ValueError(f"The fluid viscosity is {viscosity}; it must be finite and not negative [Pa s].")
-        self.mesh, self.comm, self.dimension = mesh, mesh.comm, mesh.topology.dim
         self.facet_tags, self.density, self.viscosity, self.tolerance = facet_tags, density, viscosity, tolerance
-        d = self.dimension
+        n, d = self.num_cells, self.dimension
         self.gravity = np.zeros(d) if gravity is None else np.asarray(gravity, float)[:d].copy()
-        self.space = fem.FunctionSpace(mesh, ("CG", 1))
         self.velocity = fem.Function(fem.VectorFunctionSpace(mesh, ("DG", 0)), name="velocity")
         self.pressure = fem.Function(self.space, name="pressure")
-        self.corner, _ = owned_corners(mesh)
-        barycentric, self.volume = barycentric_maps(self.corner, d)
-        self.gradient = np.ascontiguousarray(barycentric[:, :, :d])
-        n = self.num_cells = len(self.volume)
-        self.dofs = np.ascontiguousarray(self.space.dofmap.list.array.reshape(-1, d + 1)[:n].astype(np.int32))
-        index_map = self.space.dofmap.index_map
-        self.nodes, self.owned_nodes = index_map.size_local + index_map.num_ghosts, index_map.size_local
-        self.node_halo = Halo.of_index_map(self.comm, index_map)
-        self.h = self.volume ** (1 / d) * (2 ** 0.5 if d == 2 else 6 ** (1 / 3))
         self.nodal_velocity, self.force, self.gain = None, np.zeros((self.nodes, d)), np.zeros((n, d))
         self.nodal_gain, self.theta = np.zeros((self.nodes, d)), np.empty(n)
         self.void_fraction, self.rate = None, np.zeros(n)
@@ -91,9 +78,6 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         self.mean_pressure_gradient, self.stress_of_mixture = mean.copy(), bool(stress_of_mixture)
         self.ready, self._last_flux, self.step_flux, self._closed_flux, self._to_close = False, None, None, None, 0
         self.body_force = self.mass_source = self.last_pressure = self.last_force = None
-        self.node_position = np.zeros((self.nodes, 3))
-        self.node_position[self.dofs] = self.corner
-        self.node_halo.forward(self.node_position)
 
     def set_initial_velocity(self, value):
         """Interstitial velocity at the start: d numbers, or a function (time, position) as for inlets."""
@@ -118,22 +102,6 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         self.boundary_velocity = np.zeros((self.nodes, self.dimension))
         if closed:
             self.check_inflow()
-
-    def at_cells(self, value, shape, time=None):
-        """Cell means (cells, ...) of a constant, an array, or a function (time, points (cells, 3)); absent time: now.
-
-        A function is called for one point of every cell at a time, d + 1 times, which is exact for quadratic functions.
-        """
-        if callable(value):
-            now, corners = self.time if time is None else time, self.dimension + 1
-            near = (2 / 3, 0.58541019662496845)[self.dimension - 2]  # the share of the nearest corner
-            far = (1 - near) / self.dimension
-            rest = far * self.corner.sum(1)
-            value = sum(np.asarray(value(now, rest + (near - far) * self.corner[:, k]), float) for k in range(corners)) / corners
-        value = np.asarray(value, float)
-        if not np.isfinite(value).all():
-            raise ValueError(f"A source at time {self.time:g} is not finite; give finite numbers.")
-        return np.broadcast_to(value, shape)
 
     def theta_of(self, diffusivity, dt):
         """Implicit part (cells,) of transport: 1/2, and more where diffusion is so fast that half a step of it would only ring."""
@@ -214,22 +182,6 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger):
         self._to_close -= 1
         self._closed_flux = self._closed_flux or ClosedFlux(self)
         return self._closed_flux(flux, self.time + 0.5 * dt)
-
-    def nodal_zeros(self, shape):
-        """Zeros (nodes, *shape)."""
-        return np.zeros((self.nodes, *shape))
-
-    @cached_property
-    def node_volume(self):
-        """(nodes, 1) volume that belongs to each node [m^3]; collective when it is first asked for."""
-        total = self.nodal_zeros((1,))
-        kernels.scatter(self.dofs, self.volume[:, None], total)
-        self.complete(total)
-        return total
-
-    def complete(self, *sums):
-        """Make nodal sums of owned cells complete on every rank."""
-        self.node_halo.complete(*sums)
 
     def _relax(self, dt, phi0, q):
         """Stage 1: u <- u + a P(q - mean u) moves the nodes towards the least-squares fit of the cells.

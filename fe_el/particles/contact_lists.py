@@ -6,7 +6,7 @@ from fe_el.exchange import largest_of, move
 from fe_el.particles import motion, neighbours, waves
 from fe_el.particles import walls as _walls
 from fe_el.particles.ghosts import Ghosts
-from fe_el.particles.law_kernels import aligned, room
+from fe_el.particles.law_kernels import aligned
 from fe_el.particles.wall_shapes import FACETS, shape_list
 
 SORT_EVERY = 8  # rebuilds
@@ -81,11 +81,10 @@ class ContactLists:
         x, pairs = self._pairs()
         self.radius, self.inverse_mass = self.ghosts.grow(p.diameter / 2), self.ghosts.grow(1 / p.mass)
         self.ids, self.material = self.ghosts.grow(p.id), self.ghosts.grow(p.material).view(np.uint32)
-        self.x, (self.state, self.force) = room(len(self.radius), 3), (aligned(len(self.radius), 8) for _ in range(2))
+        self.x, (self.state, self.force) = np.empty((len(self.radius), 3)), (aligned(len(self.radius), 8) for _ in range(2))
         self.state[:, 0], self.state[:, 7] = self.radius, self.inverse_mass / self.radius
         self._lists(x, pairs, kept, step)
-        self.x0, self.age = room(*p.position.shape), 0
-        self.x0[:] = p.position
+        self.x0, self.age = p.position.copy(), 0
         self.rebuilds += 1
 
     def _choose_skin(self, smallest, largest, speed, h):
@@ -189,8 +188,7 @@ class ContactLists:
         if in_slabs:
             count = len(self.slab_starts) - 1
             slab = self.ghosts.grow(np.repeat(np.arange(count), np.diff(self.slab_starts)))
-            self.first, self.second = (room(len(a), kind=np.uint32) for a in pairs)
-            pair_starts, apart = waves.by_slab(*pairs, slab, count, self.first, self.second)
+            self.first, self.second, pair_starts, apart = waves.by_slab(*pairs, slab, count)
         self.gap = neighbours.gaps(x, self.radius, self.first, self.second)
         empty = np.zeros(0, np.uint32)
         self.wall_particle = self.wall_facet = self.shape_particle = self.shape_wall = empty
@@ -202,7 +200,7 @@ class ContactLists:
             self.shape_particle, self.shape_wall = (a.view(np.uint32) for a in near)
         self.scratch = _walls.scratch(self.wall_particle)
         self.wall_gap = _walls.wall_gaps(x, self.radius, self.wall_particle, self.wall_facet, self.facet_rows[0])
-        self.listed, self.wall_listed = (room(len(a) + 1, kind=np.uint32) for a in (self.gap, self.wall_gap))
+        self.listed, self.wall_listed = (np.empty(len(a) + 1, np.uint32) for a in (self.gap, self.wall_gap))
         self.near = (-1.0, 0, 0)  # see update_near
         self.waves = waves.NONE
         if in_slabs:
@@ -212,7 +210,7 @@ class ContactLists:
             self.waves = (self.slab_starts, pair_starts, *places, images, apart)
         self.springs, self.stamps = [], []
         for where, old in zip(self._partners(), kept):
-            spring, stamp = aligned(len(where[0]), self.width), room(len(where[0]), kind=np.int32)
+            spring, stamp = aligned(len(where[0]), self.width), np.empty(len(where[0]), np.int32)
             neighbours.restore_springs(*where, n, *old, step, spring, stamp)
             self.springs.append(spring)
             self.stamps.append(stamp)

@@ -6,7 +6,6 @@ from mpi4py import MPI
 from numba import njit
 
 from fe_el.messages import exchange, messages_of
-from fe_el.particles.law_kernels import room
 from fe_el.particles.neighbours import bounds
 
 
@@ -64,7 +63,6 @@ class Ghosts:
 
     Attributes:
         number: of ghosts on this rank; they follow the owned particles.
-        busy: whether this rank has ghosts, or another has ghosts of its particles.
     """
 
     def __init__(self, comm, position, reach, period=None):
@@ -90,7 +88,6 @@ class Ghosts:
         """Counts, places and buffers for ghosts with the given shifts, one array from each rank."""
         self.shift, self.counts = np.concatenate(shifts), [len(a) for a in shifts]
         self.number, self.owned = len(self.shift), owned
-        self.busy = self.number > 0 or any(len(rows) for rows in self.send)
         ends = owned + np.cumsum(self.counts)
         self.receive = [slice(e - c, e) for e, c in zip(ends, self.counts)]
         me = self.comm.rank
@@ -136,7 +133,7 @@ class Ghosts:
 
     def grow(self, array):
         """A copy of an owned array with the ghosts' values behind it."""
-        out = room(self.owned + self.number, *array.shape[1:], kind=array.dtype)
+        out = np.empty((self.owned + self.number, *array.shape[1:]), array.dtype)
         out[:self.owned] = array
         return self.forward(out)
 

@@ -19,34 +19,20 @@ sees the normal velocity carried on to the full step, the tangential spring what
 force on the first body, 9-11 that force times the arm fraction, crossed with the normal (torque per radius), 13-15 and 26-28
 the new springs, 23-25 the rolling torque on the first body, 16 the normal velocity for the next step.
 """
-import contextlib
 import math
-import mmap
 
 import numpy as np
 from numba import njit
 
 BLOCK = 264  # no power of two: the rows of one contact would share few sets of the cache
 ROWS = 35
-LARGE = 2 ** 22  # bytes
 FAST = {"contract", "reassoc", "nsz", "arcp"}  # no finite-math assumption: NaN must stay visible
 B = BLOCK
 
 
-def room(*shape, kind=float):
-    """An array not yet filled; large ones lie on large pages of memory, where the system has them: they are found faster."""
-    size = math.prod(shape) * np.dtype(kind).itemsize
-    if size < LARGE or not hasattr(mmap, "MADV_HUGEPAGE"):
-        return np.empty(shape, kind)
-    memory = mmap.mmap(-1, size)
-    with contextlib.suppress(OSError):  # a system without large pages
-        memory.madvise(mmap.MADV_HUGEPAGE)
-    return np.frombuffer(memory, kind).reshape(shape)
-
-
 def aligned(rows, width):
     """Zeros (rows, width) that start at a line of the cache."""
-    memory = room(rows * width + 7)
+    memory = np.empty(rows * width + 7)
     memory[:] = 0.0
     start = -(memory.ctypes.data // 8) % 8
     return memory[start:start + rows * width].reshape(rows, width)

@@ -77,7 +77,7 @@ def wave(number, ahead, h, particles, drift, ghosts, waves, pairs, found, near, 
     external, inverse_inertia, x0 = drift
     starts, pair_at, wall_at, shape_at, image_at, images, apart = waves
     owned, slabs, touching, behind = len(x0), len(starts) - 1, 0, -1
-    moved, speed, change, listed = 0.0, 0.0, 0.0, -1
+    moved, speed, change, reach = 0.0, 0.0, 0.0, -1.0
     near = update_near(ahead * ahead, skin, *found, *near)
     for row in range(slabs + (number - 1) * (apart + 1)):
         for s in range(number):
@@ -86,11 +86,11 @@ def wave(number, ahead, h, particles, drift, ghosts, waves, pairs, found, near, 
                 continue
             d2, v2, c2 = kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0, 1.0, h, starts[c], starts[c + 1])
             moved, speed, change = max(moved, d2), max(speed, v2), max(change, c2)
-            moved = moved if d2 == d2 else math.inf
+            moved = math.inf if math.isnan(d2) else moved
             refresh_images(images[image_at[c]:image_at[c + 1]], ghosts[3], ghosts[5], owned, x, state, force)
             near = update_near(moved, skin, *found, *near)
-            if near[1] != listed:
-                listed, a, b = near[1], part_of(found[2], near[1], pair_at), part_of(found[3], near[2], wall_at)
+            if near[0] != reach:  # the lists were made anew
+                reach, a, b = near[0], part_of(found[2], near[1], pair_at), part_of(found[3], near[2], wall_at)
             e = shape_at[c], shape_at[c + 1]
             own = shapes[0][e[0]:e[1]], shapes[1][e[0]:e[1]], shapes[2][e[0]:e[1]], shapes[3][e[0]:e[1]], shapes[4], shapes[5]
             n, back = wall_forces(particles, found[3][b[c]:b[c + 1]], facets, own, walls, step + s, block, laws[1], h)

@@ -2,7 +2,7 @@
 
 The particles are sorted by slabs. A slab can make its next sub-step as soon as its neighbours have made the last one, so a few
 sub-steps follow each other through the bed like waves, a few slabs apart, and what they need stays in the caches. Every particle
-gets its forces in the same order as in one sub-step after the other: the results are the same to the last digit.
+gets its forces in the same order as in one sub-step after the other on the same lists: the results are the same to the last digit.
 """
 import numpy as np
 from numba import njit
@@ -17,7 +17,7 @@ NONE = (np.zeros(1, np.int64),) * 6 + (0,)
 
 
 def slabs(position, period, reach):
-    """Number of the slab of each particle, so that particles within ``reach`` are in one slab or in two that follow each other.
+    """Number of the slab of each particle, so that particles within ``reach`` are at most ``FINE + 1`` slabs apart.
 
     Slabs cut the direction that gives the thinnest; where it is periodic, two that are as far from the middle count as one.
     """
@@ -33,8 +33,8 @@ def slabs(position, period, reach):
 
 
 @njit(cache=True)
-def by_slab(first, second, slab, count, one, two):
-    """Copy the pairs in the order of the later of their two slabs; returns where each slab's begin, how far apart slabs may be."""
+def by_slab(first, second, slab, count):
+    """The pairs in the order of the later of their two slabs: pairs, where each slab's begin, how far apart slabs may be."""
     start, apart = np.zeros(count + 1, np.int64), 0
     for k in range(len(first)):
         a, b = slab[first[k]], slab[second[k]]
@@ -42,13 +42,13 @@ def by_slab(first, second, slab, count, one, two):
         apart = max(apart, abs(a - b))
     for c in range(count):
         start[c + 1] += start[c]
-    at = start.copy()
+    at, one, two = start.copy(), np.empty_like(first), np.empty_like(second)
     for k in range(len(first)):
         c = max(slab[first[k]], slab[second[k]])
         n = at[c]
         one[n], two[n] = first[k], second[k]
         at[c] = n + 1
-    return start, apart
+    return one, two, start, apart
 
 
 @njit(cache=True)

@@ -1,0 +1,70 @@
+"""What a cell-node scheme needs of the mesh: sizes and gradients of the cells, nodes, and sums over cells at the nodes."""
+from functools import cached_property
+
+import numpy as np
+from dolfinx import fem
+
+from fe_el.exchange import Halo
+from fe_el.fluid import kernels
+from fe_el.mesh import barycentric_maps, check_simplices, owned_corners
+
+
+class CellsAndNodes:
+    """Owned cells of a mesh of triangles or tetrahedra, and the nodes (P1) that belong to them.
+
+    Raises:
+        ValueError: for cells that are not simplices.
+
+    Note:
+        Collective.
+    """
+
+    def __init__(self, mesh):
+        check_simplices(mesh)
+        self.mesh, self.comm, self.dimension = mesh, mesh.comm, mesh.topology.dim
+        d = self.dimension
+        self.space = fem.FunctionSpace(mesh, ("CG", 1))
+        self.corner, _ = owned_corners(mesh)
+        barycentric, self.volume = barycentric_maps(self.corner, d)
+        self.gradient = np.ascontiguousarray(barycentric[:, :, :d])
+        n = self.num_cells = len(self.volume)
+        self.dofs = np.ascontiguousarray(self.space.dofmap.list.array.reshape(-1, d + 1)[:n].astype(np.int32))
+        index_map = self.space.dofmap.index_map
+        self.nodes, self.owned_nodes = index_map.size_local + index_map.num_ghosts, index_map.size_local
+        self.node_halo = Halo.of_index_map(self.comm, index_map)
+        self.h = self.volume ** (1 / d) * (2 ** 0.5 if d == 2 else 6 ** (1 / 3))
+        self.node_position = np.zeros((self.nodes, 3))
+        self.node_position[self.dofs] = self.corner
+        self.node_halo.forward(self.node_position)
+
+    def at_cells(self, value, shape, time=None):
+        """Cell means (cells, ...) of a constant, an array, or a function (time, points (cells, 3)); absent time: now.
+
+        A function is called for one point of every cell at a time, d + 1 times, which is exact for quadratic functions.
+        """
+        if callable(value):
+            now, corners = self.time if time is None else time, self.dimension + 1
+            near = (2 / 3, 0.58541019662496845)[self.dimension - 2]  # the share of the nearest corner
+            far = (1 - near) / self.dimension
+            rest = far * self.corner.sum(1)
+            value = sum(np.asarray(value(now, rest + (near - far) * self.corner[:, k]), float) for k in range(corners)) / corners
+        value = np.asarray(value, float)
+        if not np.isfinite(value).all():
+            raise ValueError(f"A source at time {self.time:g} is not finite; give finite numbers.")
+        return np.broadcast_to(value, shape)
+
+    def nodal_zeros(self, shape):
+        """Zeros (nodes, *shape)."""
+        return np.zeros((self.nodes, *shape))
+
+    @cached_property
+    def node_volume(self):
+        """(nodes, 1) volume that belongs to each node [m^3]; collective when it is first asked for."""
+        total = self.nodal_zeros((1,))
+        kernels.scatter(self.dofs, self.volume[:, None], total)
+        self.complete(total)
+        return total
+
+    def complete(self, *sums):
+        """Make nodal sums of owned cells complete on every rank."""
+        self.node_halo.complete(*sums)
