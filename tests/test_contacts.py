@@ -179,8 +179,17 @@ def test_waves_through_a_large_bed_give_the_same_to_the_last_digit(period, monke
 
 def test_a_wave_is_as_long_as_displacements_allow():
     """Twice the speed, and twice what it gains, over all of its sub-steps; never beyond what is left to do."""
-    assert waves.wave_length(100, 1.0, 0.1, 0.0, 0.0)[0] == waves.AT_ONCE
     assert waves.wave_length(3, 1.0, 0.1, 0.0, 0.0)[0] == 3
     assert waves.wave_length(100, 1.0, 0.1, 1.2, 0.0) == (4, pytest.approx(0.96))
     assert waves.wave_length(100, 1.0, 0.1, 0.0, 0.4) == (3, pytest.approx(0.72))
     assert waves.wave_length(100, 1.0, 0.1, np.inf, 0.0) == (1, 0.0)
+
+
+def test_waves_follow_each_other_within_the_caches():
+    """Particles between the first and the last sub-step: as many as the caches hold, but never fewer than two sub-steps."""
+    slab = 100
+    for at_once in (3, 5):
+        slabs = 1000
+        assert waves.at_once(slabs * slab, slabs, waves.IN_CACHE // (at_once * slab) - 1) == at_once
+    assert waves.at_once(10**6, 10, 5) == 2
+    assert waves.at_once(1000, 1000, 5) == waves.AT_ONCE

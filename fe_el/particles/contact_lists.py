@@ -207,7 +207,7 @@ class ContactLists:
             images = np.argsort(slab[n:], kind="stable")
             places = [np.searchsorted(a, b) for a, b in ((self.wall_particle, self.slab_starts), (self.shape_particle, self.slab_starts),
                                                          (slab[n:][images], np.arange(count + 1)))]
-            self.waves = (self.slab_starts, pair_starts, *places, images, apart)
+            self.waves = (self.slab_starts, pair_starts, *places, images, apart, waves.at_once(n, count, apart))
         self.springs, self.stamps = [], []
         for where, old in zip(self._partners(), kept):
             spring, stamp = aligned(len(where[0]), self.width), np.empty(len(where[0]), np.int32)

@@ -75,7 +75,7 @@ def wave(number, ahead, h, particles, drift, ghosts, waves, pairs, found, near, 
     """
     x, state, force, radius, inverse_mass, material = particles
     external, inverse_inertia, x0 = drift
-    starts, pair_at, wall_at, shape_at, image_at, images, apart = waves
+    starts, pair_at, wall_at, shape_at, image_at, images, apart, _ = waves
     owned, slabs, touching, behind = len(x0), len(starts) - 1, 0, -1
     moved, speed, change, reach = 0.0, 0.0, 0.0, -1.0
     near = update_near(ahead * ahead, skin, *found, *near)
@@ -129,6 +129,6 @@ def sub_steps(most, h, age, skin, wall_speed, particles, drift, ghosts, ranks, w
         room = 0.5 * skin - math.sqrt(moved)
         stale = not wall_speed * h * (age + made) <= room
         if len(waves[0]) > 1 and wall_speed == 0.0 and not stale:
-            number, ahead = wave_length(most - made, room, h, math.sqrt(speed), math.sqrt(change))
+            number, ahead = wave_length(min(most - made, waves[7]), room, h, math.sqrt(speed), math.sqrt(change))
             ahead += math.sqrt(moved)
     return made, stale, touching, behind, deepest, near

@@ -9,11 +9,12 @@ from numba import njit
 
 from fe_el.particles import neighbours
 
-FROM = 200000  # particles
-SLAB = 2000  # particles at least
-FINE = 2  # slabs in the reach of a contact
+FROM = 15000  # particles
+SLAB = 500  # particles at least
+FINE = 4  # slabs in the reach of a contact
 AT_ONCE = 8  # sub-steps at most
-NONE = (np.zeros(1, np.int64),) * 6 + (0,)
+IN_CACHE = 32000  # particles, with their contacts
+NONE = (np.zeros(1, np.int64),) * 6 + (0, 1)
 
 
 def slabs(position, period, reach):
@@ -51,11 +52,16 @@ def by_slab(first, second, slab, count):
     return one, two, start, apart
 
 
+def at_once(particles, slabs, apart):
+    """How many sub-steps may follow each other so that all particles between the first and the last stay in the caches."""
+    return int(min(max(IN_CACHE * slabs / (particles * (apart + 1)), 2), AT_ONCE))
+
+
 @njit(cache=True)
 def wave_length(most, room, step, speed, change):
     """How many sub-steps keep displacements within ``room``, with twice the speed and its change there are now: (number, reach)."""
     number, ahead = 1, 0.0
-    for n in range(2, min(most, AT_ONCE) + 1):
+    for n in range(2, most + 1):
         reach = 2 * n * step * (speed + n * change)
         if reach <= room:
             number, ahead = n, reach
