@@ -3,6 +3,9 @@ import math
 
 import numpy as np
 from mpi4py import MPI
+from numba import njit
+
+from fe_el.messages import exchange, messages_of
 
 
 def largest_of(comm, *numbers):
@@ -29,7 +32,7 @@ class Halo:
     """
 
     def __init__(self, comm, send, receive):
-        self.comm, self._plans = comm, {}
+        self.comm, self._plans, self._sharing = comm, {}, None
         self.send = [(rank, np.asarray(i, np.int64)) for rank, i in enumerate(send) if len(i)]
         self.receive = [(rank, np.asarray(i, np.int64)) for rank, i in enumerate(receive) if len(i)]
 
@@ -51,21 +54,23 @@ class Halo:
         local = index_map.size_local + np.arange(len(ghosts))
         return cls.of_requests(comm, local, owners, ghosts - starts[owners])
 
-    def _plan(self, forward, shapes, kind):
-        """Rows with the parts of the buffers that hold them, going out and coming in, and the messages; made once."""
-        key = forward, shapes, kind
+    def _swap(self, how, out, into, arrays):
+        """Send rows of all arrays (each (entries, numbers)) as one message to each rank; ``out`` and ``into`` say which.
+
+        Returns rows and their values (rows, numbers of all arrays), by rank; the messages are made once.
+        """
+        key = how, tuple(a.shape[1] for a in arrays), arrays[0].dtype
         if key not in self._plans:
-            def parts(sides):
-                rows, buffers = [], []
-                for rank, i in sides:
-                    ends = np.cumsum([0] + [len(i) * math.prod(shape) for shape in shapes])
-                    buffers.append((rank, np.empty(ends[-1], kind)))
-                    rows.append((i, [buffers[-1][1][k:end].reshape(len(i), *shape) for k, end, shape in zip(ends, ends[1:], shapes)]))
-                return rows, buffers
-            (out, to), (into, of) = (parts(side) for side in (self.send, self.receive)[::1 if forward else -1])
-            messages = [self.comm.Recv_init(b, source=rank) for rank, b in of] + [self.comm.Send_init(b, dest=rank) for rank, b in to]
-            self._plans[key] = out, into, messages
-        return self._plans[key]
+            rows = [np.concatenate([i for _, i in side] or [np.zeros(0, np.int64)]) for side in (out, into)]
+            buffers = [np.empty((len(r), sum(key[1])), key[2]) for r in rows]
+            messages = []
+            for side, buffer, make in ((into, buffers[1], self.comm.Recv_init), (out, buffers[0], self.comm.Send_init)):
+                ends = np.cumsum([0] + [len(i) for _, i in side])
+                messages += [make(buffer[a:b], rank) for (rank, _), a, b in zip(side, ends, ends[1:])]
+            self._plans[key] = (rows[0], buffers[0], messages_of(messages)), rows[1], buffers[1], messages
+        plan, rows, values, _ = self._plans[key]
+        send_rows(arrays, *plan)
+        return rows, values
 
     def __del__(self):
         if MPI is not None and not MPI.Is_finalized():  # None where Python is about to end
@@ -73,36 +78,121 @@ class Halo:
                 for message in messages:
                     message.Free()
 
-    def _swap(self, arrays, forward):
-        """Send rows of all arrays as one message to each rank; returns rows and their values, by rank."""
-        out, into, messages = self._plan(forward, tuple(a.shape[1:] for a in arrays), arrays[0].dtype)
-        for i, parts in out:
-            for a, part in zip(arrays, parts):
-                np.take(a, i, 0, part, "clip")
-        MPI.Prequest.Startall(messages)
-        MPI.Request.Waitall(messages)
-        return into
-
     def forward(self, *arrays):
-        """Set the ghosts in arrays of one type to their owners' values; returns the first array."""
+        """Set the ghosts in arrays of one type to their owners' values; returns the first array.
+
+        Raises:
+            ValueError: for arrays of different types, or that are not contiguous.
+        """
         if self.send or self.receive:
-            for i, parts in self._swap(arrays, True):
-                for a, part in zip(arrays, parts):
-                    a[i] = part
+            flat = _flat(arrays)
+            set_rows(flat, *self._swap("forward", self.send, self.receive, flat))
         return arrays[0]
 
     def reverse_add(self, *arrays):
         """Add the ghosts' values to their owners' entries (the ghosts keep theirs); returns the first array."""
         if self.send or self.receive:
-            for i, parts in self._swap(arrays, False):
-                for a, part in zip(arrays, parts):
-                    a[i] += part  # no entry is there twice
+            flat = _flat(arrays)
+            add_rows(flat, *self._swap("reverse", self.receive, self.send, flat))
         return arrays[0]
 
     def complete(self, *arrays):
-        """Make sums over the entries of this rank complete on all."""
-        self.reverse_add(*arrays)
-        self.forward(*arrays)
+        """Make sums over the entries of this rank complete on all: every rank adds up all parts, in the order of the ranks.
+
+        Note:
+            Collective.
+        """
+        if self.comm.size == 1:
+            return
+        if self._sharing is None:
+            self._sharing = self._find_sharing()
+        sides, places = self._sharing
+        if sides:
+            flat = _flat(arrays)
+            add_up(flat, self._swap("complete", sides, sides, flat)[1], *places)
+
+    def _find_sharing(self):
+        """For each rank the entries we have in common with it, owned or not, and what to add up where. Collective."""
+        size, me = self.comm.size, self.comm.rank
+        rows = [(i, np.full(len(i), me), i, np.full(len(i), rank)) for rank, i in self.send]  # here, owner, there, shared with
+        told = [[]] * size
+        for rank, i in self.send:
+            told[rank] = [i] + [(other, np.intersect1d(i, j)) for other, j in self.send if other != rank]
+        heard = self.comm.alltoall(told)
+        for owner, here in self.receive:
+            there, others = heard[owner][0], heard[owner][1:]
+            order = np.argsort(there)
+            rows.append((here, np.full(len(here), owner), there, np.full(len(here), owner)))
+            for rank, common in others:
+                mine = here[order[np.searchsorted(there, common, sorter=order)]]
+                rows.append((mine, np.full(len(mine), owner), common, np.full(len(mine), rank)))
+        here, owner, there, rank = (np.concatenate([r[k] for r in rows] or [np.zeros(0)]).astype(np.int64) for k in range(4))
+        order = np.lexsort((there, owner, rank))  # by rank, and then alike on both sides
+        here, rank = here[order], rank[order]
+        sides = [(int(r), here[rank == r]) for r in np.unique(rank)]
+        entries = np.unique(here)
+        parts = [np.concatenate(p) for p in ((here, entries), (rank, np.full(len(entries), me)),
+                                             (np.arange(len(here)), np.full(len(entries), -1)))]  # -1: our own part
+        order = np.lexsort((parts[1], parts[0]))
+        starts = np.searchsorted(parts[0][order], entries)
+        return sides, (entries, np.append(starts, len(order)), parts[2][order])
+
+
+def _flat(arrays):
+    """Views (entries, numbers) of arrays of one type."""
+    if len({a.dtype for a in arrays}) > 1 or not all(a.flags.c_contiguous for a in arrays):
+        raise ValueError(f"Arrays of types {[str(a.dtype) for a in arrays]} cannot be exchanged at once, or one of them is not "
+                         "contiguous; give whole arrays of one type.")
+    return tuple(a.reshape(len(a), math.prod(a.shape[1:])) for a in arrays)
+
+
+@njit(cache=True)
+def send_rows(arrays, rows, out, messages):
+    """Put rows of the arrays beside each other into the buffer, and exchange it."""
+    at = 0
+    for a in arrays:
+        for n in range(len(rows)):
+            for k in range(a.shape[1]):
+                out[n, at + k] = a[rows[n], k]
+        at += a.shape[1]
+    exchange(messages)
+
+
+@njit(cache=True)
+def set_rows(arrays, rows, values):
+    """Set rows of the arrays to what was received."""
+    at = 0
+    for a in arrays:
+        for n in range(len(rows)):
+            for k in range(a.shape[1]):
+                a[rows[n], k] = values[n, at + k]
+        at += a.shape[1]
+
+
+@njit(cache=True)
+def add_rows(arrays, rows, values):
+    """Add what was received, from one rank after the other, to rows of the arrays."""
+    at = 0
+    for a in arrays:
+        for n in range(len(rows)):
+            for k in range(a.shape[1]):
+                a[rows[n], k] += values[n, at + k]
+        at += a.shape[1]
+
+
+@njit(cache=True)
+def add_up(arrays, values, entries, starts, parts):
+    """Sums of the parts of shared entries: rows of what was received, or -1 for what is here."""
+    at = 0
+    for a in arrays:
+        for n in range(len(entries)):
+            i = entries[n]
+            for k in range(a.shape[1]):
+                total = 0 * a[i, k]
+                for p in parts[starts[n]:starts[n + 1]]:
+                    total += a[i, k] if p < 0 else values[p, at + k]
+                a[i, k] = total
+        at += a.shape[1]
 
 
 def move(comm, destination, arrays):

@@ -41,7 +41,7 @@ def exchange(messages):
     """Start all messages and wait for them."""
     handles, statuses, number = messages
     if number and (_start(number, handles.ctypes) or _wait(number, handles.ctypes, statuses.ctypes)):
-        raise RuntimeError("MPI could not exchange the ghost particles.")
+        raise RuntimeError("MPI could not exchange the ghosts.")
 
 
 @njit(cache=True)
@@ -53,5 +53,5 @@ def largest(ranks, number):
         return number
     room[0] = number
     if _reduce(room.ctypes, room[1:].ctypes, 1, kind, operation, comm):
-        raise RuntimeError("MPI could not find the largest displacement.")
+        raise RuntimeError("MPI could not find the largest number.")
     return room[1]

@@ -7,6 +7,7 @@ from dolfinx import fem
 from fe_el.exchange import Halo
 from fe_el.fluid import kernels
 from fe_el.mesh import barycentric_maps, check_simplices, owned_corners
+from fe_el.messages import ranks_of
 
 
 class CellsAndNodes:
@@ -21,7 +22,7 @@ class CellsAndNodes:
 
     def __init__(self, mesh):
         check_simplices(mesh)
-        self.mesh, self.comm, self.dimension = mesh, mesh.comm, mesh.topology.dim
+        self.mesh, self.comm, self.dimension, self.ranks = mesh, mesh.comm, mesh.topology.dim, ranks_of(mesh.comm)
         d = self.dimension
         self.space = fem.FunctionSpace(mesh, ("CG", 1))
         self.corner, _ = owned_corners(mesh)

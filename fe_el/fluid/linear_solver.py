@@ -5,6 +5,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from fe_el.fluid import kernels
+from fe_el.messages import largest, ranks_of
 
 _petsc = ctypes.CDLL(PETSc.__file__)
 _petsc.MatSetPreallocationCOO.argtypes = [ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_void_p, ctypes.c_void_p]
@@ -90,7 +91,7 @@ class LinearSolver:
             matrix.setNullSpace(self.nullspace)
         self._read_options(self.ksp)
         self.x, self.b = matrix.createVecs()
-        self.iterations, self.fallbacks, self.resort, self.comm = 0, 0, 0, matrix.comm.tompi4py()
+        self.iterations, self.fallbacks, self.resort, self.ranks = 0, 0, 0, ranks_of(matrix.comm.tompi4py())
 
     def _read_options(self, ksp):
         """PETSc's options for a solver; hypre has no Gaussian elimination for the coarsest level of a singular matrix."""
@@ -154,7 +155,7 @@ class LinearSolver:
         except PETSc.Error:  # a preconditioner that cannot be built or applied on this rank
             failed = True
         self.iterations = ksp.getIterationNumber()
-        return self.comm.allreduce(int(failed)) == 0 and ksp.getConvergedReason() > 0
+        return not largest(self.ranks, float(failed)) and ksp.getConvergedReason() > 0
 
     def _fallback(self, method, preconditioner):
         ksp = PETSc.KSP().create(self.matrix.comm)

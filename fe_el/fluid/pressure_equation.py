@@ -3,6 +3,7 @@ import numpy as np
 
 from fe_el.fluid import kernels
 from fe_el.fluid.linear_solver import ElementMatrix, LinearSolver
+from fe_el.messages import largest
 
 
 class PressureEquation:
@@ -48,7 +49,7 @@ class PressureEquation:
         """The matrix, unless nothing that enters it has changed on any rank."""
         air = self.fluid
         same = np.array_equal(weight, self._weight) and np.array_equal(boundary, self._boundary)
-        if air.comm.allreduce(int(same)) == air.comm.size:
+        if not largest(air.ranks, float(not same)):
             return
         self._weight, self._boundary, self._lift = weight, boundary, air.nodal_zeros((1,))
         kernels.poisson_matrix(air.dofs, air.gradient, weight, self.elements.values)

@@ -10,6 +10,7 @@ from fe_el.fluid.cells_and_nodes import CellsAndNodes
 from fe_el.fluid.continuity import ClosedFlux, Ledger
 from fe_el.fluid.linear_solver import ElementMatrix, LinearSolver
 from fe_el.fluid.pressure_equation import PressureEquation
+from fe_el.messages import largest
 
 START_STEPS = 2  # implicit Euler steps that damp a start which does not fit its boundary conditions
 
@@ -175,7 +176,7 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger):
             part = 0.5 * dt / self.dt
             flux = (1 + part) * flux - part * last
         moves = np.any(self.rate) or (self.step == 0 and np.any(q))
-        if self.comm.allreduce(int(moves)):
+        if largest(self.ranks, float(moves)):
             self._to_close = 3  # steps whose flux is made of velocities that fit another rate
         if not self._to_close:
             return flux
