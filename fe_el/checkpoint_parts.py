@@ -74,7 +74,7 @@ def set_contacts(c, state):
 
 
 FLUID_CELLS = ("gain", "void_fraction", "rate", "_last_flux")
-FLUID_NODES = ("nodal_velocity", "force", "nodal_gain", "last_pressure", "last_force")
+FLUID_NODES = ("nodal_velocity", "force", "nodal_gain", "last_pressure", "last_force", "last_change")
 
 
 def fluid_state(air):

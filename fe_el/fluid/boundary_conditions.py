@@ -2,6 +2,7 @@
 import numpy as np
 
 from fe_el.checks import require_positive
+from fe_el.fluid import node_kernels
 from fe_el.mesh import require_groups
 
 
@@ -127,6 +128,7 @@ class Boundaries:
         self.node_halo.complete(normal)
         length = np.linalg.norm(normal, axis=1)
         self.slip.append((facets.nodes, (normal / np.maximum(length, 1e-300)[:, None])[facets.nodes]))
+        self.ready = False
 
     def check_inflow(self):
         """Raise ``ValueError`` if a domain without outlet is given a net inflow."""
@@ -139,7 +141,10 @@ class Boundaries:
 
     def set_boundary_values(self, phi):
         """Interstitial velocities of the fixed nodes at the new time; walls win over inlets. ``phi`` None: one, on all ranks."""
-        d = self.dimension
+        d, constant = self.dimension, phi is None and not any(callable(value) for _, value in self.inlets)
+        if constant and self._values_set:
+            return
+        self._values_set = constant
         for facets, value in self.inlets:
             k, ratio = facets.nodes, 1.0
             if phi is not None:
@@ -161,9 +166,7 @@ class Boundaries:
 
     def impose(self, u):
         """Give the fixed nodes their velocities, and take the normal part from slip walls, in place."""
-        for nodes, normal in self.slip:
-            u[nodes] -= normal * (u[nodes] * normal).sum(1)[:, None]
-        u[self.held] = self.boundary_velocity[self.held]
+        node_kernels.impose(u, self.slip_nodes, self.slip_normals, self.held, self.boundary_velocity)
 
     def boundary_force(self, group):
         """Force of the fluid on a no-slip boundary group, by pressure and by shear: two arrays (d,) [N].

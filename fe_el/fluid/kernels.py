@@ -57,6 +57,17 @@ def mass_and_misfit(dofs, weight, q, u, h, nu, dt, damping, gain, nodal_gain, ma
 
 
 @by_dimension
+def mass_flux(dofs, density, phi, q, part, last, now, flux):
+    """Mass flux ``now`` of velocity q, and ``flux``, carried on from the last one by a ``part`` of its change."""
+    for c in range(len(dofs)):
+        for k in range(D):
+            now[c, k] = density * phi[c] * q[c, k]
+            flux[c, k] = now[c, k]
+            if part != 0.0:
+                flux[c, k] += part * (now[c, k] - last[c, k])
+
+
+@by_dimension
 def scatter(dofs, total, out):
     """Add cell totals in equal shares to the nodes."""
     share = 1.0 / M
@@ -184,17 +195,19 @@ def memory(dofs, mass0, mass1, q, u, h, dt, nu, theta, damping, gain, nodal_gain
 
 @by_dimension
 def exchange_system(dofs, grad, volume, density, dt, phi, part, supply, drag, source, body, u, correction, kept, q, diagonal,
-                    rhs):
+                    weight, rhs):
     """Cell velocities before the pressure, and the right-hand side of the Poisson equation that follows from eliminating them.
 
     Sets kept to the transported velocity and q to (rho phi/dt u_T + B + part f) / (rho phi/dt + A); ``part`` is the share of
-    pressure gradient and body force f that the fluid takes, phi unless the step is one of several.
+    pressure gradient and body force f that the fluid takes, phi unless the step is one of several; ``weight`` is that of the
+    equation.
     """
     n = len(dofs)
     share = 1.0 / M
     for c in range(n):
         inertia = density * phi[c] / dt
         diagonal[c] = inertia + drag[c]
+        weight[c] = phi[c] * part[c] / diagonal[c] * volume[c]
         for k in range(D):
             mean = 0.0
             for i in range(M):

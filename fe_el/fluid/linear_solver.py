@@ -36,7 +36,7 @@ class ElementMatrix:
         rows, columns = np.repeat(number, m, 1).ravel(), np.tile(number, (1, m)).ravel()
         self.values = np.zeros((len(dofs), m, m))
         self._check(_petsc.MatSetPreallocationCOO(self.matrix.handle, rows.size, rows.ctypes.data, columns.ctypes.data))
-        self.dofs, self._nodes = dofs, None
+        self.dofs, self._nodes, self._diagonal = dofs, None, self.matrix.createVecRight()
 
     def fix(self, nodes, lift, boundary):
         """Replace rows and columns of fixed nodes (a mask) by a diagonal; what columns carried of ``boundary`` goes to ``lift``."""
@@ -52,6 +52,11 @@ class ElementMatrix:
     def assemble(self):
         """Sum ``values`` into the matrix."""
         self._check(_petsc.MatSetValuesCOO(self.matrix.handle, self.values.ctypes.data, int(PETSc.InsertMode.INSERT_VALUES)))
+
+    def diagonal(self):
+        """Diagonal entries (owned nodes,) of the matrix; the same memory each time."""
+        self.matrix.getDiagonal(self._diagonal)
+        return self._diagonal.array
 
     @staticmethod
     def _check(code):

@@ -43,7 +43,7 @@ class PressureEquation:
         old, last = p.copy(), air.last_pressure
         p[:own] = self.solver.solve(rhs[:own], (old if last is None else 2 * old - last)[:own])
         air.last_pressure = old
-        air.pressure.x.scatter_forward()
+        air.node_halo.forward(p)
 
     def _assemble(self, weight, boundary):
         """The matrix, unless nothing that enters it has changed on any rank."""
@@ -56,4 +56,4 @@ class PressureEquation:
         self.elements.fix(air.fixed_pressure, self._lift, boundary)
         self.elements.assemble()
         self.solver.new_values()
-        self._diagonal = self.elements.matrix.getDiagonal().array
+        self._diagonal = self.elements.diagonal()

@@ -4,7 +4,8 @@ import time
 import numpy as np
 from dolfinx import fem
 
-from fe_el.fluid import kernels
+from fe_el.exchange import Halo
+from fe_el.fluid import kernels, node_kernels
 from fe_el.fluid.boundary_conditions import Boundaries, velocity_at
 from fe_el.fluid.cells_and_nodes import CellsAndNodes
 from fe_el.fluid.continuity import ClosedFlux, Ledger
@@ -66,6 +67,7 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger):
         self.gravity = np.zeros(d) if gravity is None else np.asarray(gravity, float)[:d].copy()
         self.velocity = fem.Function(fem.VectorFunctionSpace(mesh, ("DG", 0)), name="velocity")
         self.pressure = fem.Function(self.space, name="pressure")
+        self.cell_halo = Halo.of_index_map(mesh.comm, self.velocity.function_space.dofmap.index_map)
         self.nodal_velocity, self.force, self.gain = None, np.zeros((self.nodes, d)), np.zeros((n, d))
         self.nodal_gain, self.theta = np.zeros((self.nodes, d)), np.empty(n)
         self.void_fraction, self.rate = None, np.zeros(n)
@@ -78,7 +80,7 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger):
         self.upwind = stabilisation is not None and stabilisation.upwind
         self.mean_pressure_gradient, self.stress_of_mixture = mean.copy(), bool(stress_of_mixture)
         self.ready, self._last_flux, self.step_flux, self._closed_flux, self._to_close = False, None, None, None, 0
-        self.body_force = self.mass_source = self.last_pressure = self.last_force = None
+        self.body_force = self.mass_source = self.last_pressure = self.last_force = self.last_change = None
 
     def set_initial_velocity(self, value):
         """Interstitial velocity at the start: d numbers, or a function (time, position) as for inlets."""
@@ -98,9 +100,11 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger):
             self.fixed[facets.nodes] = True
         for facets, _ in self.outlets:
             self.fixed_pressure[facets.nodes] = True
+        slip = [(np.zeros(0, np.int64), np.zeros((0, self.dimension))), *self.slip]
+        self.slip_nodes, self.slip_normals = (np.concatenate(a) for a in zip(*slip))
         self.held, self._thetas, self._steady_inflow = np.flatnonzero(self.fixed), {}, None
         self.pressure_equation = PressureEquation(self)
-        self.boundary_velocity = np.zeros((self.nodes, self.dimension))
+        self.boundary_velocity, self._values_set = np.zeros((self.nodes, self.dimension)), False
         if closed:
             self.check_inflow()
 
@@ -170,11 +174,10 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger):
 
     def _mass_flux(self, dt, phi0, q):
         """Mass flux rho phi u of the step: carried on to its middle for second order, and closed if the void fraction moves."""
-        flux = self.density * phi0[:, None] * q
-        last, self._last_flux = self._last_flux, flux
-        if self.time_order == 2 and last is not None and not self.upwind:
-            part = 0.5 * dt / self.dt
-            flux = (1 + part) * flux - part * last
+        flux, last, now = np.empty_like(q), self._last_flux, np.empty_like(q)
+        part = 0.5 * dt / self.dt if self.time_order == 2 and last is not None and not self.upwind else 0.0
+        kernels.mass_flux(self.dofs, self.density, phi0, q, part, now if last is None else last, now, flux)
+        self._last_flux = now
         moves = np.any(self.rate) or (self.step == 0 and np.any(q))
         if largest(self.ranks, float(moves)):
             self._to_close = 3  # steps whose flux is made of velocities that fit another rate
@@ -198,14 +201,14 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger):
         kernels.mass_and_misfit(self.dofs, self.cell_mass0, q, start, self.h, self.viscosity / self.density, dt, self.damping, self.gain,
                                 self.nodal_gain, self.mass0, misfit, part, feed, self.theta)
         if self.upwind:  # towards the plain mean of the cells, which stays in their range
-            misfit, feed = self.nodal_zeros((d,)), 0.0
+            misfit[:], feed[:] = 0.0, 0.0
             kernels.scatter(self.dofs, self.cell_mass0[:, None] * q, misfit)
             self.complete(self.mass0, misfit, part)
             misfit -= self.mass0[:, None] * start
         else:
             self.complete(self.mass0, misfit, part, feed)
-        part = 1.0 if self.nodal_velocity is None else (part / self.mass0)[:, None]
-        u = start + (part * misfit + feed) / self.mass0[:, None]
+        u = np.empty_like(start)
+        node_kernels.relaxed(start, part, misfit, feed, self.mass0, self.nodal_velocity is None, u)
         self.impose(u)
         return u
 
@@ -227,18 +230,16 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger):
         lift = self.nodal_zeros((d,))
         self._transport.fix(self.fixed, lift, self.boundary_velocity)
         self.complete(explicit, lift)
-        rhs = self.mass0[:, None] * u / dt + self.force + explicit
         self._transport.assemble()
         self._transport.release()
         self.transport_solver.new_values()
-        own = self.owned_nodes
-        diagonal = self._transport.matrix.getDiagonal().array
-        system = rhs[:own] + lift[:own]
-        new = u.copy()
-        held = self.held[self.held < own]
-        system[held] = diagonal[held, None] * self.boundary_velocity[held]
+        own, new, rhs, system = self.owned_nodes, u.copy(), np.empty_like(u), np.empty((d, self.owned_nodes))
+        node_kernels.transport_load(self.mass0, u, self.force, explicit, lift, dt, self.held, self.boundary_velocity,
+                                    self._transport.diagonal(), rhs, system)
+        guess = u[:own] if self.last_change is None else u[:own] + self.last_change[:own]
         for k in range(d):
-            new[:own, k] = self.transport_solver.solve(system[:, k], u[:own, k])
+            new[:own, k] = self.transport_solver.solve(system[k], guess[:, k])
+        self.last_change = new - u
         self.node_halo.forward(new)
         # one evaluation of the fluxes at the solution makes the balance exact whatever the solver's tolerance
         self.mass = self.nodal_zeros(())
@@ -246,12 +247,12 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger):
         balance = self.nodal_zeros((d,))
         kernels.apply_elements(self.dofs, values, new, balance)
         self.complete(self.mass, balance, defect)
-        self._correction = defect / self.mass[:, None]
-        exact = new + dt * (rhs + balance) / self.mass[:, None]
-        exact[self.held] = new[self.held]
-        self.reaction = -rhs - balance  # at fixed nodes: what the wall adds per time to hold the velocity
-        self.impose(exact)
-        return exact - dt * self._force_ahead(dt) / self.mass[:, None]
+        self._correction = np.empty_like(new)
+        node_kernels.close_transport(self.mass, rhs, balance, defect, dt, self.held, new, self._correction)
+        self.reaction = balance  # at fixed nodes: what the wall adds per time to hold the velocity
+        self.impose(new)
+        node_kernels.take_force(new, self._force_ahead(dt), self.mass, dt, rhs)
+        return rhs
 
     def _force_ahead(self, dt):
         """The last step's nodal force of drag and pressure; where walls hold the nodes, carried on to this step.
@@ -263,11 +264,8 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger):
         if last is None or not self.second_order:
             return force
         ratio = min((dt + self.dt) / (2 * self.dt), 1.5)
-        ahead = force + np.clip(ratio * (force - last), -np.abs(force), np.abs(force))
-        out = force.copy()
-        for nodes, normal in self.slip:
-            out[nodes] += normal * (normal * (ahead - force)[nodes]).sum(1)[:, None]
-        out[self.held] = ahead[self.held]
+        out = np.empty_like(force)
+        node_kernels.carry_on(force, last, ratio, self.held, self.slip_nodes, self.slip_normals, out)
         return out
 
     def _fade(self, dt, q, u):
@@ -281,25 +279,25 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger):
     def _exchange(self, dt, phi, share, rate, drag, source, nodal, transported):
         """Stage 3: drag and pressure together; an exact projection with the drag on the diagonal."""
         n, d = self.num_cells, self.dimension
-        q, diagonal, rhs = np.empty((n, d)), np.empty(n), self.nodal_zeros(())
+        q, diagonal, weight, rhs = np.empty((n, d)), np.empty(n), np.empty(n), self.nodal_zeros(())
         body = self.density * self.gravity + self.mean_pressure_gradient
         middle = self.time - (0.5 * dt if self.second_order else 0.0)
         body = np.broadcast_to(body, (n, d)) + (0.0 if self.body_force is None else
                                                 self.at_cells(self.body_force, (n, d), middle))
         self.supply = rate - (0.0 if self.mass_source is None else self.at_cells(self.mass_source, (n,)))
         kernels.exchange_system(self.dofs, self.gradient, self.volume, self.density, dt, phi, share, self.supply, drag, source,
-                                body, nodal, self._correction, transported, q, diagonal, rhs)
+                                body, nodal, self._correction, transported, q, diagonal, weight, rhs)
         self.inflow = self.inflow_at(self.time)
         rhs += self.inflow
-        self.pressure_equation.solve(phi * share / diagonal * self.volume, rhs)
+        self.pressure_equation.solve(weight, rhs)
         change = self.nodal_zeros((d,))
         kernels.pressure_step(self.dofs, self.gradient, self.volume, self.density, dt, phi, share, diagonal,
                               self.pressure.x.array, transported, q, self.gain, change)
         self.complete(change)
         self.velocity.x.array.reshape(-1, d)[:n] = q
-        self.velocity.x.scatter_forward()
-        self.nodal_gain = change / self.mass[:, None]
-        self.nodal_velocity = nodal + dt * self.nodal_gain
+        self.cell_halo.forward(self.velocity.x.array.reshape(-1, d))
+        self.nodal_gain, self.nodal_velocity = change / self.mass[:, None], np.empty_like(change)
+        node_kernels.take_force(nodal, change, self.mass, -dt, self.nodal_velocity)
         self.impose(self.nodal_velocity)
         self.force = change
         if self.upwind:  # which takes nothing beforehand

@@ -1,0 +1,92 @@
+"""Numba loops over the nodes of the cell-node scheme."""
+from numba import njit
+
+from fe_el.fluid.for_each_dimension import FAST
+
+
+@njit(cache=True, fastmath=FAST)
+def relaxed(start, part, misfit, feed, mass, whole, out):
+    """Nodal velocity that has taken over its part of the misfit (all of it if ``whole``), and what fed it."""
+    for i in range(len(start)):
+        share = 1.0 if whole else part[i] / mass[i]
+        for k in range(start.shape[1]):
+            out[i, k] = start[i, k] + (share * misfit[i, k] + feed[i, k]) / mass[i]
+
+
+@njit(cache=True, fastmath=FAST)
+def transport_load(mass, u, force, explicit, lift, dt, held, boundary, diagonal, rhs, system):
+    """Right-hand side of transport (nodes, d), and of the systems of each component (d, owned nodes) with fixed values."""
+    owned = len(diagonal)
+    for i in range(len(u)):
+        for k in range(u.shape[1]):
+            rhs[i, k] = mass[i] * u[i, k] / dt + force[i, k] + explicit[i, k]
+            if i < owned:
+                system[k, i] = rhs[i, k] + lift[i, k]
+    for i in held:
+        if i < owned:
+            for k in range(u.shape[1]):
+                system[k, i] = diagonal[i] * boundary[i, k]
+
+
+@njit(cache=True, fastmath=FAST)
+def close_transport(mass, rhs, balance, defect, dt, held, new, correction):
+    """Nodal velocity from the balance of momentum itself, in ``new`` but for held nodes; ``balance`` becomes the reaction."""
+    for i in held:
+        for k in range(new.shape[1]):
+            correction[i, k] = new[i, k]
+    for i in range(len(new)):
+        for k in range(new.shape[1]):
+            total = rhs[i, k] + balance[i, k]
+            new[i, k] += dt * total / mass[i]
+            balance[i, k] = -total
+    for i in held:
+        for k in range(new.shape[1]):
+            new[i, k] = correction[i, k]
+    for i in range(len(new)):
+        for k in range(new.shape[1]):
+            correction[i, k] = defect[i, k] / mass[i]
+
+
+@njit(cache=True, fastmath=FAST)
+def carry_on(force, last, ratio, held, slip, normal, out):
+    """The last step's force, and where walls take their share what its change leads to, at most twice itself.
+
+    At the nodes ``slip``, with normals, this is the normal part; at nodes ``held`` all of it.
+    """
+    out[:] = force
+    for n in range(len(slip)):
+        i, along = slip[n], 0.0
+        for k in range(force.shape[1]):
+            rise, most = ratio * (force[i, k] - last[i, k]), abs(force[i, k])
+            along += normal[n, k] * min(max(rise, -most), most)
+        for k in range(force.shape[1]):
+            out[i, k] += normal[n, k] * along
+    for i in held:
+        for k in range(force.shape[1]):
+            out[i, k] = force[i, k]
+    for i in held:
+        for k in range(force.shape[1]):
+            rise, most = ratio * (force[i, k] - last[i, k]), abs(force[i, k])
+            out[i, k] += min(max(rise, -most), most)
+
+
+@njit(cache=True, fastmath=FAST)
+def take_force(u, force, mass, dt, out):
+    """u - dt force / mass."""
+    for i in range(len(u)):
+        for k in range(u.shape[1]):
+            out[i, k] = u[i, k] - dt * force[i, k] / mass[i]
+
+
+@njit(cache=True, fastmath=FAST)
+def impose(u, slip, normal, held, boundary):
+    """Take the normal part at slip walls, one after the other, and set the held nodes, in place."""
+    for n in range(len(slip)):
+        i, along = slip[n], 0.0
+        for k in range(u.shape[1]):
+            along += normal[n, k] * u[i, k]
+        for k in range(u.shape[1]):
+            u[i, k] -= normal[n, k] * along
+    for i in held:
+        for k in range(u.shape[1]):
+            u[i, k] = boundary[i, k]
