@@ -37,7 +37,7 @@ class ContactLists:
         self.shape = np.array([getattr(w, "shape", np.zeros(4)) for w in walls] or [np.zeros(4)])
         self.motion = np.array([w.motion() for w in walls] or [np.zeros(9)])
         self.wall_material = np.array([w.material for w in walls] or [0], np.int64)
-        self.slab_starts, self.slab_layout, self.waves = None, None, waves.NONE
+        self.tile_starts, self.strips, self.tile_layout, self.waves = None, 1, None, waves.NONE
         self.ghosts, self.springs, self.restored, self.has_shapes = None, None, None, bool((self.kind != FACETS).any())
 
     def wall_speed(self):
@@ -72,9 +72,9 @@ class ContactLists:
         before, destination = p.id, p.locate()
         if destination is not None:
             kept = self._move_springs(kept, destination, before)
-        in_slabs = comm.size == 1 and len(p) >= waves.FROM
-        if self.rebuilds % SORT_EVERY == 0 or layout is None or in_slabs and self.slab_layout != p.layout:
-            kept = self._sort(kept, largest + self.skin, in_slabs)
+        in_tiles = comm.size == 1 and len(p) >= waves.FROM
+        if self.rebuilds % SORT_EVERY == 0 or layout is None or in_tiles and self.tile_layout != p.layout:
+            kept = self._sort(kept, largest + self.skin, in_tiles)
         if self.ghosts is not None:
             self.ghosts.free()
         self.ghosts = Ghosts(comm, p.position, largest + self.skin, p.period)
@@ -113,18 +113,19 @@ class ContactLists:
             raise ValueError(f"The periodic box has lengths {p.period.tolist()}; contacts of particles of diameter {largest:g} m "
                              f"need at least {need:g} m in every periodic direction.")
 
-    def _sort(self, kept, size, in_slabs):
-        """Order the particles by boxes of two reaches along a Morton curve, for cache locality, and by slabs before that."""
+    def _sort(self, kept, size, in_tiles):
+        """Order the particles by boxes of two reaches along a Morton curve, for cache locality, and by tiles before that."""
         p = self.particles
         if not len(p):
             return kept
-        slab = waves.slabs(p.position, p.period, size) if in_slabs else np.zeros(len(p), np.int64)
-        order = np.lexsort((p.id, neighbours.morton_code(p.position, neighbours.bounds(p.position)[0], 2 * size), slab))
+        tile, self.strips = waves.tiles(p.position, p.period, size) if in_tiles else (np.zeros(len(p), np.int64), 1)
+        order = np.lexsort((p.id, neighbours.morton_code(p.position, neighbours.bounds(p.position)[0], 2 * size), tile))
         place = np.empty_like(order)
         place[order] = np.arange(len(order))
         p.select(order)
-        self.slab_layout = p.layout if in_slabs else None
-        self.slab_starts = np.concatenate([[0], np.cumsum(np.bincount(slab))])
+        self.tile_layout = p.layout if in_tiles else None
+        count = -(-(int(tile.max()) + 1) // self.strips) * self.strips  # whole slabs
+        self.tile_starts = np.concatenate([[0], np.cumsum(np.bincount(tile, minlength=count))])
         return [(place[particle], partner, spring) for particle, partner, spring in kept]
 
     def _collect(self, step, layout):
@@ -184,11 +185,11 @@ class ContactLists:
         """Pairs, facets and shapes near each particle, with the kept springs."""
         p, n = self.particles, len(self.particles)
         self.first, self.second = pairs
-        in_slabs = self.slab_layout == p.layout
-        if in_slabs:
-            count = len(self.slab_starts) - 1
-            slab = self.ghosts.grow(np.repeat(np.arange(count), np.diff(self.slab_starts)))
-            self.first, self.second, pair_starts, apart = waves.by_slab(*pairs, slab, count)
+        in_tiles = self.tile_layout == p.layout
+        if in_tiles:
+            count = len(self.tile_starts) - 1
+            tile = self.ghosts.grow(np.repeat(np.arange(count), np.diff(self.tile_starts)))
+            self.first, self.second, pair_starts, *apart = waves.by_tile(*pairs, tile, self.strips, count)
         self.gap = neighbours.gaps(x, self.radius, self.first, self.second)
         empty = np.zeros(0, np.uint32)
         self.wall_particle = self.wall_facet = self.shape_particle = self.shape_wall = empty
@@ -203,11 +204,12 @@ class ContactLists:
         self.listed, self.wall_listed = (np.empty(len(a) + 1, np.uint32) for a in (self.gap, self.wall_gap))
         self.near = (-1.0, 0, 0)  # see update_near
         self.waves = waves.NONE
-        if in_slabs:
-            images = np.argsort(slab[n:], kind="stable")
-            places = [np.searchsorted(a, b) for a, b in ((self.wall_particle, self.slab_starts), (self.shape_particle, self.slab_starts),
-                                                         (slab[n:][images], np.arange(count + 1)))]
-            self.waves = (self.slab_starts, pair_starts, *places, images, apart, waves.at_once(n, count, apart))
+        if in_tiles:
+            images = np.argsort(tile[n:], kind="stable")
+            places = [np.searchsorted(a, b) for a, b in ((self.wall_particle, self.tile_starts), (self.shape_particle, self.tile_starts),
+                                                         (tile[n:][images], np.arange(count + 1)))]
+            self.waves = (self.tile_starts, pair_starts, *places, images, self.strips, *apart,
+                          *waves.at_once(n, count // self.strips, apart[0], self.strips, apart[1]))
         self.springs, self.stamps = [], []
         for where, old in zip(self._partners(), kept):
             spring, stamp = aligned(len(where[0]), self.width), np.empty(len(where[0]), np.int32)

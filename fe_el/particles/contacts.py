@@ -9,7 +9,7 @@ from fe_el.exchange import largest_of, raise_everywhere
 from fe_el.messages import largest, ranks_of
 from fe_el.particles import contact_lists, motion
 from fe_el.particles.array_law import ArrayLaw, array_forces
-from fe_el.particles.law_kernels import new_block
+from fe_el.particles.law_kernels import constant_rows, new_block
 from fe_el.particles.particles import LostParticle
 from fe_el.particles.sub_steps import all_forces, sub_steps, update_near, wall_forces
 from fe_el.particles.wall_shapes import FacetWalls, move_walls
@@ -55,7 +55,7 @@ class Contacts:
             raise ValueError("An ArrayLaw acts between particles only; give walls a wall_law, for instance HertzMindlin.")
         self._check_materials()
         self.lists = contact_lists.ContactLists(particles, self.walls, skin, self._spring_width())
-        self.block, self.step, self.layout, self.stale, self.ranks = new_block(), 1, None, False, ranks_of(particles.comm)
+        self.block, self.step, self.layout, self.stale, self.ranks = (new_block(), new_block()), 1, None, False, ranks_of(particles.comm)
         self.seconds = {"neighbours": 0.0, "contacts": 0.0}
         self.touching, self.touching_walls, self.largest_overlap, self.steps_last, self.behind = 0, 0, 0.0, 0, None
 
@@ -135,6 +135,9 @@ class Contacts:
     def _rebuild(self, h):
         tick = time.perf_counter()
         self._check_materials()
+        for block, law in zip(self.block, (self.law, self.wall_law)):
+            if not isinstance(law, ArrayLaw):
+                constant_rows(block[0], law.numbers)
         self.lists.rebuild(h, self.step, self.layout)
         self.layout = self.particles.layout
         self.seconds["neighbours"] += time.perf_counter() - tick
@@ -232,7 +235,7 @@ class Contacts:
         if self.walls:
             lists.near = update_near(moved, lists.skin, *found, *near)
             touching_walls, behind = wall_forces(rows[0], lists.wall_listed[:lists.near[2]], facets, shapes, walls, self.step,
-                                                 self.block, self.wall_law.numbers, h)
+                                                 self.block[1], self.wall_law.numbers, h)
             self.behind = behind if behind >= 0 else self.behind
         touching, overlap = array_forces(self.law, x, state, force, radius, inverse_mass, *pairs, self.step, h)
         self.touching = touching + touching_walls

@@ -194,12 +194,15 @@ def apply_law(b, m, h, numbers):
 
 @njit(cache=True)
 def constant_rows(b, numbers):
-    """Fill the rows of the material once where there is one material only; returns whether that is so."""
-    if numbers.table.shape[0] > 1 or numbers.table.shape[1] > 1:
-        return False
+    """Fill the rows of the material, for good where there is one material only: see :func:`uniform`."""
     for n in range(B):
         material_row(b, n, numbers, 0, 0)
-    return True
+
+
+@njit(cache=True, inline="always")
+def uniform(numbers):
+    """Whether there is one material only."""
+    return numbers.table.shape[0] == 1 and numbers.table.shape[1] == 1
 
 
 @njit(cache=True, inline="always")

@@ -7,7 +7,7 @@ last four of a block are filled up with copies of the last contact, whose forces
 import numpy as np
 from numba import njit
 
-from fe_el.particles.law_kernels import BLOCK, FAST, apply_law, constant_rows
+from fe_el.particles.law_kernels import BLOCK, FAST, apply_law, uniform
 from fe_el.particles.rows_of_four import (
     block_to_rows,
     difference_to_block,
@@ -162,15 +162,14 @@ def pair_forces(x, state, force, radius, material, near, first, second, spring, 
     ``stamp`` holds the last step at which each pair touched: a spring counts only if that was the step before.
     """
     touching, n, far = 0, 0, len(x) > MANY
-    b, at, _, _ = block
-    uniform = constant_rows(b, numbers)
+    b, at, _, _ = block  # with constant rows
     while n < len(near):
         m, n = next_block(b, at, x, radius, near, first, second, n)
         if far:
             fetch_rows(m, at, second, state, force, spring)
         full = fill_up(b, m, at)
         gather(b, full, at, first, second, state, spring, stamp, step)
-        if not uniform:
+        if not uniform(numbers):
             gather_material(b, full, at, first, second, material, numbers)
         if numbers.rolls > 0:
             gather_rolling(b, full, at, first, second, state, spring)

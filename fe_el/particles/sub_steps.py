@@ -3,6 +3,7 @@ import math
 
 from numba import njit
 
+from fe_el.borrowed import borrowed
 from fe_el.messages import largest
 from fe_el.particles.ghosts import forward_state
 from fe_el.particles.motion import kick_and_drift
@@ -60,43 +61,47 @@ def all_forces(particles, pairs, found, near, facets, shapes, walls, moved, skin
     x, state, force, radius, _, material = particles
     near = update_near(moved, skin, *found, *near)
     listed, wall_listed = found[2][:near[1]], found[3][:near[2]]
-    touching_walls, behind = wall_forces(particles, wall_listed, facets, shapes, walls, step, block, laws[1], h)
-    touching, deepest = pair_forces(x, state, force, radius, material, listed, *pairs, step, block, laws[0], h, deepest)
+    touching_walls, behind = wall_forces(particles, wall_listed, facets, shapes, walls, step, block[1], laws[1], h)
+    touching, deepest = pair_forces(x, state, force, radius, material, listed, *pairs, step, block[0], laws[0], h, deepest)
     return touching + touching_walls, behind, max(deepest, walls[3][0]), near
 
 
 @njit(cache=True)
 def wave(number, ahead, h, particles, drift, ghosts, waves, pairs, found, near, facets, shapes, walls, skin, step, block, laws,
          deepest):
-    """``number`` sub-steps that follow each other through the slabs; displacements are meant to stay below ``ahead``.
+    """``number`` sub-steps that follow each other through the tiles; displacements are meant to stay below ``ahead``.
 
     Returns:
         largest squares of displacement, velocity and its change, and what :func:`all_forces` returns.
     """
     x, state, force, radius, inverse_mass, material = particles
     external, inverse_inertia, x0 = drift
-    starts, pair_at, wall_at, shape_at, image_at, images, apart, _ = waves
-    owned, slabs, touching, behind = len(x0), len(starts) - 1, 0, -1
+    starts, pair_at, wall_at, shape_at, image_at, images, strips, apart, apart_strips, _, width = waves
+    owned, slabs, touching, behind = len(x0), (len(starts) - 1) // strips, 0, -1
+    blocks, rows = (strips + (number - 1) * (apart_strips + 1) + width - 1) // width, slabs + (number - 1) * (apart + 1)
     moved, speed, change, reach = 0.0, 0.0, 0.0, -1.0
     near = update_near(ahead * ahead, skin, *found, *near)
-    for row in range(slabs + (number - 1) * (apart + 1)):
+    for row in range(blocks * rows):
+        block_end = (row // rows + 1) * width
         for s in range(number):
-            c = row - s * (apart + 1)
-            if c < 0 or c >= slabs:
+            slab, back = row % rows - s * (apart + 1), s * (apart_strips + 1)
+            low, high = max(block_end - width - back, 0), min(block_end - back, strips)
+            if slab < 0 or slab >= slabs or low >= high:
                 continue
-            d2, v2, c2 = kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0, 1.0, h, starts[c], starts[c + 1])
+            c, e = slab * strips + low, slab * strips + high
+            d2, v2, c2 = kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0, 1.0, h, starts[c], starts[e])
             moved, speed, change = max(moved, d2), max(speed, v2), max(change, c2)
             moved = math.inf if math.isnan(d2) else moved
-            refresh_images(images[image_at[c]:image_at[c + 1]], ghosts[3], ghosts[5], owned, x, state, force)
+            refresh_images(images[image_at[c]:image_at[e]], ghosts[3], ghosts[5], owned, x, state, force)
             near = update_near(moved, skin, *found, *near)
             if near[0] != reach:  # the lists were made anew
                 reach, a, b = near[0], part_of(found[2], near[1], pair_at), part_of(found[3], near[2], wall_at)
-            e = shape_at[c], shape_at[c + 1]
-            own = shapes[0][e[0]:e[1]], shapes[1][e[0]:e[1]], shapes[2][e[0]:e[1]], shapes[3][e[0]:e[1]], shapes[4], shapes[5]
-            n, back = wall_forces(particles, found[3][b[c]:b[c + 1]], facets, own, walls, step + s, block, laws[1], h)
-            m, deepest = pair_forces(x, state, force, radius, material, found[2][a[c]:a[c + 1]], *pairs, step + s, block, laws[0], h,
+            p, q = shape_at[c], shape_at[e]
+            own = shapes[0][p:q], shapes[1][p:q], shapes[2][p:q], shapes[3][p:q], shapes[4], shapes[5]
+            n, fell = wall_forces(particles, found[3][b[c]:b[e]], facets, own, walls, step + s, block[1], laws[1], h)
+            m, deepest = pair_forces(x, state, force, radius, material, found[2][a[c]:a[e]], *pairs, step + s, block[0], laws[0], h,
                                      deepest)
-            behind, touching = max(back, behind), touching + (n + m if s == number - 1 else 0)
+            behind, touching = max(fell, behind), touching + (n + m if s == number - 1 else 0)
     return moved, speed, change, touching, behind, max(deepest, walls[3][0]), near
 
 
@@ -109,6 +114,8 @@ def sub_steps(most, h, age, skin, wall_speed, particles, drift, ghosts, ranks, w
         sub-steps made, whether the lists are out of date, and what :func:`all_forces` returns, of any sub-step for a particle
         behind a wall.
     """
+    particles, drift, ghosts, ranks, waves = borrowed((particles, drift, ghosts, ranks, waves))
+    pairs, found, facets, shapes, walls, block, laws = borrowed((pairs, found, facets, shapes, walls, block, laws))
     x, state, force, _, inverse_mass, _ = particles
     external, inverse_inertia, x0 = drift
     owned, made, touching, behind, stale, number, ahead, part = len(x0), 0, 0, -1, False, 1, 0.0, 0.5
@@ -129,6 +136,6 @@ def sub_steps(most, h, age, skin, wall_speed, particles, drift, ghosts, ranks, w
         room = 0.5 * skin - math.sqrt(moved)
         stale = not wall_speed * h * (age + made) <= room
         if len(waves[0]) > 1 and wall_speed == 0.0 and not stale:
-            number, ahead = wave_length(min(most - made, waves[7]), room, h, math.sqrt(speed), math.sqrt(change))
+            number, ahead = wave_length(min(most - made, waves[9]), room, h, math.sqrt(speed), math.sqrt(change))
             ahead += math.sqrt(moved)
     return made, stale, touching, behind, deepest, near

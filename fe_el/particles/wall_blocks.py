@@ -2,7 +2,7 @@
 import numpy as np
 from numba import njit
 
-from fe_el.particles.law_kernels import BLOCK, FAST, apply_law, constant_rows, material_row
+from fe_el.particles.law_kernels import BLOCK, FAST, apply_law, material_row, uniform
 from fe_el.particles.pair_forces import fill_up, four_of
 from fe_el.particles.rows_of_four import block_to_rows, scaled_to_block
 
@@ -66,7 +66,7 @@ def finish_block(block, m, x, state, force, material, spring, stamp, step, motio
     full = fill_up(b, m, at)
     for n in range(m, full):
         who[n], wall_of[n] = who[m - 1], wall_of[m - 1]
-    if not constant_rows(b, numbers):
+    if not uniform(numbers):
         for n in range(full):
             material_row(b, n, numbers, material[who[n]], wall_material[wall_of[n]])
     _gather(b, full, who, at, state, spring, stamp, step)
