@@ -12,7 +12,7 @@ from fe_el.particles import neighbours
 
 FROM = 15000  # particles
 SLAB = 500  # particles at least
-FINE = 4  # slabs in the reach of a contact
+FINE = 2  # slabs in the reach of a contact
 STRIPS = 2  # the same of strips
 AT_ONCE = 8  # sub-steps at most
 IN_CACHE = 32000  # particles, with their contacts
