@@ -86,14 +86,14 @@ class Halo:
         """
         if self.send or self.receive:
             flat = _flat(arrays)
-            set_rows(flat, *self._swap("forward", self.send, self.receive, flat))
+            take_rows(flat, False, *self._swap("forward", self.send, self.receive, flat))
         return arrays[0]
 
     def reverse_add(self, *arrays):
         """Add the ghosts' values to their owners' entries (the ghosts keep theirs); returns the first array."""
         if self.send or self.receive:
             flat = _flat(arrays)
-            add_rows(flat, *self._swap("reverse", self.receive, self.send, flat))
+            take_rows(flat, True, *self._swap("reverse", self.receive, self.send, flat))
         return arrays[0]
 
     def complete(self, *arrays):
@@ -159,24 +159,13 @@ def send_rows(arrays, rows, out, messages):
 
 
 @njit(cache=True)
-def set_rows(arrays, rows, values):
-    """Set rows of the arrays to what was received."""
+def take_rows(arrays, add, rows, values):
+    """Set rows of the arrays to what was received, or add it, one rank after the other."""
     at = 0
     for a in arrays:
         for n in range(len(rows)):
             for k in range(a.shape[1]):
-                a[rows[n], k] = values[n, at + k]
-        at += a.shape[1]
-
-
-@njit(cache=True)
-def add_rows(arrays, rows, values):
-    """Add what was received, from one rank after the other, to rows of the arrays."""
-    at = 0
-    for a in arrays:
-        for n in range(len(rows)):
-            for k in range(a.shape[1]):
-                a[rows[n], k] += values[n, at + k]
+                a[rows[n], k] = a[rows[n], k] + values[n, at + k] if add else values[n, at + k]
         at += a.shape[1]
 
 
