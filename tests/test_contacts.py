@@ -217,3 +217,18 @@ def test_waves_follow_each_other_within_the_caches():
     number, block = waves.at_once(slabs * slab * 5, slabs, 4, 1, 0)
     assert number == 4 and block >= 1
     assert waves.at_once(10**6, 10, 5, 1, 0)[0] == 2  # never fewer
+
+
+@pytest.mark.filterwarnings("error")
+def test_tiles_of_a_line_and_of_a_sheet():
+    """Particles within reach are few slabs and strips apart; a line has no strips to cut."""
+    line = np.zeros((20000, 3))
+    line[:, 0] = np.linspace(0.0, 20.0, 20000)
+    tile, strips = waves.tiles(line, None, 5.0)
+    assert strips == 1 and (np.diff(tile) >= 0).all() and tile[-1] == 7  # two slabs in the reach
+    sheet = np.random.default_rng(0).uniform(size=(20000, 3)) * [2.0, 1.0, 0.0]
+    tile, strips = waves.tiles(sheet, (2.0, 0.0, 0.0), 0.2)
+    near = (np.abs(sheet[:, None, :2] - sheet[None, :50, :2]) < 0.2).all(2)
+    assert strips > 1
+    for kind, most in ((tile // strips, waves.FINE + 1), (tile % strips, waves.STRIPS + 1)):
+        assert np.abs(kind[:, None] - kind[None, :50])[near].max() <= most

@@ -27,7 +27,7 @@ def tiles(position, period, reach):
     """
     lower, _, extent = neighbours.bounds(position)
     fold = np.array(period) > 0 if period is not None else np.zeros(3, bool)
-    length = np.where(fold, period if period is not None else 0.0, extent)
+    length = np.maximum(np.where(fold, period if period is not None else 0.0, extent), 1e-300)  # a line has no width
     across, along = np.argsort(-extent / (1 + fold), kind="stable")[:2]
 
     def cut(axis, most):
