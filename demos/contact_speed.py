@@ -10,6 +10,7 @@ import numpy as np
 from mpi4py import MPI
 
 import fe_el
+from fe_el.particles.motion import kick_and_drift
 
 matplotlib.use("Agg")
 DIAMETER, DENSITY, RESTITUTION, FRICTION, CONTACT_STEP = 1.5e-3, 2525.0, 0.9, 0.1, 1e-5
@@ -60,6 +61,21 @@ def settled_tile(steps):
     return x[order], v[order]
 
 
+def integration_seconds(contacts, repeats=20):
+    """Seconds that kicks and drifts of one step take by themselves, on copies of the particles of this rank."""
+    lists, p = contacts.lists, contacts.particles
+    x, state, force = lists.x.copy(), lists.state.copy(), lists.force.copy()
+    external, inverse_inertia = np.zeros((len(p), 3)), 10 / (p.mass * p.diameter ** 2)
+
+    def once():
+        kick_and_drift(x, state, force, external, lists.inverse_mass, inverse_inertia, lists.x0, 1.0, CONTACT_STEP, 0, len(p))
+    once()
+    start = time.perf_counter()
+    for _ in range(repeats):
+        once()
+    return (time.perf_counter() - start) / repeats
+
+
 def main(tiles=(1, 3, 10), steps=400, settle_steps=12000, output="out/contact_speed", progress=True):
     """Time every size and return the summary."""
     logging.getLogger().setLevel(logging.WARNING)
@@ -76,16 +92,18 @@ def main(tiles=(1, 3, 10), steps=400, settle_steps=12000, output="out/contact_sp
         number, pairs = beads.total_number, comm.allreduce(len(contacts.lists.first))
         memory = comm.allreduce(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - memory)
         share = (contacts.seconds["neighbours"] - before["neighbours"]) / wall
+        integration = comm.allreduce(integration_seconds(contacts), op=MPI.MAX) * contacts.steps_last / wall
         rows.append((number, wall / number / contacts.steps_last * 1e9))
         numbers[f"nanoseconds_per_particle_step_{number}"] = rows[-1][1]
         numbers[f"million_particle_steps_per_second_{number}"] = 1e3 / rows[-1][1]
         numbers[f"share_of_neighbour_search_{number}"] = share
+        numbers[f"share_of_integration_{number}"], numbers[f"share_of_forces_{number}"] = integration, 1 - share - integration
         numbers[f"neighbours_per_particle_{number}"] = pairs / number
         numbers[f"contacts_per_particle_{number}"] = comm.allreduce(contacts.touching) / number
         numbers[f"bytes_per_particle_{number}"] = 1024 * memory / number
         if comm.rank == 0 and progress:
             print(f"{number:9d} beads: {1e3 / rows[-1][1]:6.2f} million particle-steps per second, {rows[-1][1]:6.1f} ns each, "
-                  f"{100 * share:4.1f} % search, {1024 * memory / number:6.0f} bytes per particle", flush=True)
+                  f"{100 * share:4.1f} % search, {100 * integration:4.1f} % integration, {1024 * memory / number:6.0f} bytes per particle", flush=True)
     numbers["wall_time"] = time.perf_counter() - start
     if comm.rank == 0:
         Path(output).mkdir(parents=True, exist_ok=True)

@@ -114,6 +114,7 @@ def test_silo(folder):
 def test_contact_speed(folder):
     summary = contact_speed.main(tiles=(1,), steps=20, settle_steps=200, output=folder, progress=False)
     assert summary["nanoseconds_per_particle_step_1000"] > 0 and summary["neighbours_per_particle_1000"] > 1
+    assert 0 < summary["share_of_integration_1000"] < 1
 
 
 def test_copies_of_a_periodic_tile_move_alike():
