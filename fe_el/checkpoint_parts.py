@@ -73,8 +73,8 @@ def set_contacts(c, state):
     c.layout, c.stale = p.layout, True
 
 
-FLUID_CELLS = ("gain", "void_fraction", "rate", "_last_flux")
-FLUID_NODES = ("nodal_velocity", "force", "nodal_gain", "last_pressure", "last_force", "last_change")
+FLUID_CELLS = ("gain", "fades", "rate", "void_fraction", "_last_flux")
+FLUID_NODES = ("nodal_velocity", "force", "nodal_gain", "slip_force", "last_pressure", "last_force", "last_change")
 
 
 def fluid_state(air):
@@ -95,11 +95,12 @@ def set_fluid(air, state):
     air.pressure.x.array[:own] = nodes.pop("pressure")
     air.velocity.x.scatter_forward()
     air.pressure.x.scatter_forward()
+    fresh = air.memory_at_rest()
     for name in FLUID_CELLS:
-        setattr(air, name, cells.get(name))
+        setattr(air, name, cells[name] if name in cells else fresh[name])
     for name in FLUID_NODES:
-        value = nodes.get(name)
-        if value is not None:
+        value = nodes.get(name, fresh[name])
+        if name in nodes:
             full = np.zeros((air.nodes, *value.shape[1:]))
             full[:own] = value
             value = air.node_halo.forward(full)

@@ -52,6 +52,14 @@ def test_steps_may_vary():
     assert np.sqrt(np.mean((results[0] - results[1]) ** 2)) < 4e-3
 
 
+def nearest_to_corners(a, weight):
+    return [(np.roll([1 - 2 * a, a, a], k), weight) for k in range(3)]
+
+
+QUADRATURE = (*nearest_to_corners(0.445948490915965, 0.223381589678011), *nearest_to_corners(0.091576213509771, 0.109951743655322))
+"""Barycentric points and weights on a triangle, exact to the fourth degree (Dunavant 1985)."""
+
+
 def manufactured(case):
     """Void fraction, velocity and pressure of (x, y) on [-1, 1]^2."""
     s, c = np.sin, np.cos
@@ -101,16 +109,14 @@ def manufactured_errors(case, n, dt=0.02, steps=150, order=1):
     void.x.array[:] = phi(x[:, 0], x[:, 1])
     for _ in range(steps):
         air.advance(dt, (void, fem.Function(scalar), fem.Function(vector)))
-    error, pressure, ends = 0.0, 0.0, [(0, 1), (1, 2), (2, 0)]
-    difference = []
-    for a, b in ends:  # midpoints of the edges: exact for quadratics
-        at = 0.5 * (air.corner[:, a] + air.corner[:, b]) - 1
-        mean = 0.5 * (air.nodal_velocity[air.dofs[:, a]] + air.nodal_velocity[air.dofs[:, b]])
-        error += (air.volume / 3) @ ((mean - np.array(u(at[:, 0], at[:, 1])).T) ** 2).sum(1)
-        values = 0.5 * (air.pressure.x.array[air.dofs[:, a]] + air.pressure.x.array[air.dofs[:, b]])
-        difference.append(values - p(at[:, 0], at[:, 1]))
-    shift = sum((air.volume / 3) @ d for d in difference) / air.volume.sum()
-    pressure = sum((air.volume / 3) @ (d - shift) ** 2 for d in difference)
+    error, difference, weights = 0.0, [], []
+    for corners, weight in QUADRATURE:
+        at = np.einsum("k,ckx->cx", corners, air.corner)[:, :2].T - 1
+        error += weight * air.volume @ ((np.einsum("k,ckx->cx", corners, air.nodal_velocity[air.dofs]) - np.array(u(*at)).T) ** 2).sum(1)
+        difference.append(air.pressure.x.array[air.dofs] @ corners - p(*at))
+        weights.append(weight * air.volume)
+    shift = sum(w @ d for w, d in zip(weights, difference)) / air.volume.sum()
+    pressure = sum(w @ (d - shift) ** 2 for w, d in zip(weights, difference))
     return np.sqrt(error), np.sqrt(pressure)
 
 
@@ -124,11 +130,16 @@ def test_manufactured_solutions(case):
 
 @pytest.mark.parametrize("case", [0, 1])
 def test_manufactured_errors_beside_lethe(reference, case):
-    """1105 nodes and the default scheme beside Lethe's Q1-Q1 on 1089: both errors are smaller, that of the pressure by half."""
+    """1105 nodes and the default scheme beside Lethe's Q1-Q1 on 1089: smaller errors, of the pressure by half, at any step.
+
+    The steady state hardly depends on the step.
+    """
     row = next(r for r in reference("lethe_vans_mms_errors.csv") if (r["case"], r["vans_model"]) == (f"case{case}", "A")
                and r["cells_quads_on_[-1,1]^2"] == 1024)
-    velocity, pressure = manufactured_errors(case, 23, 0.01, 200, 2)
-    assert velocity < row["L2_error_velocity_Q1Q1_GLS"] and pressure < 0.5 * row["L2_error_pressure"]
+    errors = np.array([manufactured_errors(case, 23, step, steps, 2) for step, steps in ((0.01, 200), (0.001, 1200))])
+    errors /= row["L2_error_velocity_Q1Q1_GLS"], row["L2_error_pressure"]
+    assert errors[:, 0].max() < 0.9 and errors[:, 1].max() < 0.5
+    assert abs(errors[0, 0] / errors[1, 0] - 1) < 0.1
 
 
 def test_womersley_flow():
@@ -240,13 +251,14 @@ def test_scalar_constant_stays_and_content_is_kept_while_the_void_fraction_moves
     assert np.ptp(totals) < 1e-11
 
 
+@pytest.mark.parametrize("viscosity", [1e-3, 1e-1])
 @pytest.mark.parametrize("wall", ["set_no_slip", "set_slip"])
-def test_order_in_time_beside_walls(wall):
+def test_order_in_time_beside_walls(wall, viscosity):
     """A force that grows and turns in a closed box: steps halved twice on one mesh, nodal and cell velocities."""
     nodal, cell = [], []
     for steps in (16, 32, 64):
         mesh, tags = fe_el.box((1.0, 1.0), (10, 10))
-        air = fe_el.VolumeAveragedNavierStokes(mesh, tags, 1.0, 1e-3, tolerance=1e-12)
+        air = fe_el.VolumeAveragedNavierStokes(mesh, tags, 1.0, viscosity, tolerance=1e-12)
         for side in (1, 2, 3, 4):
             getattr(air, wall)(side)
         air.body_force = lambda t, x: np.column_stack([np.sin(2 * t) * np.sin(PI * x[:, 1]), np.sin(t) * np.cos(PI * x[:, 0])])

@@ -41,12 +41,11 @@ class BoundaryFacets:
         mark = np.zeros(num_nodes)
         mark[self.facet_nodes] = 1.0
         node_halo.complete(mark)
-        self.nodes, self.num_nodes = np.flatnonzero(mark > 0), num_nodes
+        self.nodes = np.flatnonzero(mark > 0)
 
-    def nodal_sum(self, values):
-        """Sum (nodes,) over the facets of this rank of one value for each facet, given to each of its nodes."""
-        total = np.bincount(self.facet_nodes.ravel(), np.repeat(values, self.facet_nodes.shape[1]), self.num_nodes)
-        return total.astype(float, copy=False)  # without facets they are whole numbers
+    def add_to_nodes(self, values, total):
+        """Add one value for each facet of this rank to each of its nodes, in ``total`` (nodes,)."""
+        node_kernels.add_to_nodes(self.facet_nodes, values, total)
 
 
 def volume_flux(facets, value, time, dimension):
@@ -148,7 +147,9 @@ class Boundaries:
         for facets, value in self.inlets:
             k, ratio = facets.nodes, 1.0
             if phi is not None:
-                void, number = facets.nodal_sum(phi[facets.cell]), facets.nodal_sum(np.ones(len(facets.cell)))
+                void, number = self.work.zeros("void", self.nodes), self.work.zeros("number", self.nodes)
+                facets.add_to_nodes(phi[facets.cell], void)
+                facets.add_to_nodes(np.ones(len(facets.cell)), number)
                 self.complete(void, number)
                 ratio = (number[k] / void[k])[:, None]
             self.boundary_velocity[k] = velocity_at(value, self.time, self.node_position[k], d) * ratio
@@ -156,13 +157,18 @@ class Boundaries:
             self.boundary_velocity[facets.nodes] = 0.0
 
     def inflow_at(self, time):
-        """Volume per time that the inlets let in, on the nodes of owned facets [m^3/s]."""
-        def of(steady):
-            return sum((facets.nodal_sum(-volume_flux(facets, value, time, self.dimension) / self.dimension)
-                        for facets, value in self.inlets if callable(value) != steady), self.nodal_zeros(()))
+        """Volume per time that the inlets let in, on the nodes of owned facets [m^3/s]; the same memory each time."""
+        def add(steady, total):
+            for facets, value in self.inlets:
+                if callable(value) != steady:
+                    facets.add_to_nodes(-volume_flux(facets, value, time, self.dimension) / self.dimension, total)
         if self._steady_inflow is None:
-            self._steady_inflow = of(True)
-        return self._steady_inflow + of(False) if any(callable(value) for _, value in self.inlets) else self._steady_inflow
+            self._steady_inflow = self.nodal_zeros(())
+            add(True, self._steady_inflow)
+        total = self.work.empty("inflow", self.nodes)
+        total[:] = self._steady_inflow
+        add(False, total)
+        return total
 
     def impose(self, u):
         """Give the fixed nodes their velocities, and take the normal part from slip walls, in place."""

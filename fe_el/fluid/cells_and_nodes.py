@@ -6,6 +6,7 @@ from dolfinx import fem
 
 from fe_el.exchange import Halo
 from fe_el.fluid import kernels
+from fe_el.fluid.work_arrays import WorkArrays
 from fe_el.mesh import barycentric_maps, check_simplices, owned_corners
 from fe_el.messages import ranks_of
 
@@ -24,7 +25,7 @@ class CellsAndNodes:
         check_simplices(mesh)
         self.mesh, self.comm, self.dimension, self.ranks = mesh, mesh.comm, mesh.topology.dim, ranks_of(mesh.comm)
         d = self.dimension
-        self.space = fem.FunctionSpace(mesh, ("CG", 1))
+        self.space, self.work = fem.FunctionSpace(mesh, ("CG", 1)), WorkArrays()
         self.corner, _ = owned_corners(mesh)
         barycentric, self.volume = barycentric_maps(self.corner, d)
         self.gradient = np.ascontiguousarray(barycentric[:, :, :d])

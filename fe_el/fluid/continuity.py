@@ -30,19 +30,25 @@ class ClosedFlux:
         self.solver = LinearSolver(self.matrix, "flux", "cg", "gamg", fluid.tolerance, not fluid.outlets)
 
     def __call__(self, flux, time):
-        """Closed flux (cells, d) [kg/(m^2 s)] of the step whose middle is ``time`` [s]."""
-        air, own = self.fluid, self.fluid.owned_nodes
-        supply = air.rate - (0.0 if air.mass_source is None else air.at_cells(air.mass_source, (air.num_cells,), time))
-        residual, scale = air.nodal_zeros(()), air.nodal_zeros(())
-        kernels.mass_balance(air.dofs, air.gradient, air.volume, np.ones(air.num_cells), air.density * supply, flux, residual,
-                             scale)
-        residual += air.density * air.inflow_at(time)
+        """Close the flux (cells, d) [kg/(m^2 s)] of the step whose middle is ``time`` [s], in place."""
+        air, own, n = self.fluid, self.fluid.owned_nodes, self.fluid.num_cells
+        supply, whole = air.work.empty("supply", n), air.work.empty("whole", n)
+        whole.fill(1.0)
+        supply[:] = air.rate
+        if air.mass_source is not None:
+            supply -= air.at_cells(air.mass_source, (n,), time)
+        supply *= air.density
+        residual, scale = air.work.zeros("residual", air.nodes), air.work.zeros("scale", air.nodes)
+        kernels.mass_balance(air.dofs, air.gradient, air.volume, whole, supply, flux, residual, scale)
+        inflow = air.inflow_at(time)
+        inflow *= air.density
+        residual += inflow
         air.node_halo.reverse_add(residual)
-        residual[air.fixed_pressure] = 0.0
-        psi = air.nodal_zeros(())
+        residual[air.pressure_equation.held] = 0.0
+        psi = air.work.zeros("potential", air.nodes)
         psi[:own] = self.solver.solve(residual[:own], psi[:own])
         air.node_halo.forward(psi)
-        return flux - np.einsum("cik,ci->ck", air.gradient, psi[air.dofs])
+        kernels.take_gradient(air.dofs, air.gradient, psi, flux)
 
 
 class Ledger:

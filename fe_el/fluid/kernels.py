@@ -14,6 +14,12 @@ def fading_rate(speed_squared, h, nu):
 
 
 @njit(cache=True, fastmath=FAST)
+def relaxation_rate(speed_squared, h, nu):
+    """Rate at which nodes take over what the cells around them share [1/s]; slow in viscous flow, where the nodes need no help."""
+    return 4.0 * np.sqrt(speed_squared) / h + nu / (h * h)
+
+
+@njit(cache=True, fastmath=FAST)
 def lag_of(lost, rate, dt, fading, h, nu, damping):
     """dt - lost / rate with lost = 1 - exp(-rate dt): the time of a step that a steady gain misses of its fading at ``rate``.
 
@@ -26,11 +32,11 @@ def lag_of(lost, rate, dt, fading, h, nu, damping):
 
 
 @by_dimension
-def mass_and_misfit(dofs, weight, q, u, h, nu, dt, damping, gain, nodal_gain, mass, misfit, part, feed, theta):
+def mass_and_misfit(dofs, weight, q, u, h, nu, dt, damping, gain, nodal_gain, fades, mass, misfit, part, feed, theta):
     """Nodal sums of the cell masses, of mass times (q - mean u) as in a least-squares fit, and of mass times the part of the
-    misfit that is taken over in a step; ``feed`` gets what is taken over of the misfit that drag and pressure (gain - mean
-    nodal gain, as of the last step) add during the step; ``theta`` gets the part of what the nodes do not carry that is left
-    after the step."""
+    misfit that is taken over in a step; ``feed`` gets what is taken over of the misfit that comes about during the step: what
+    drag and pressure add (gain - mean nodal gain) less what ``fades``, as of the last step. ``theta`` gets the part of what the
+    nodes do not carry that is left after the step."""
     n = len(dofs)
     share = 1.0 / M
     for c in range(n):
@@ -39,8 +45,9 @@ def mass_and_misfit(dofs, weight, q, u, h, nu, dt, damping, gain, nodal_gain, ma
             speed += q[c, k] * q[c, k]
         fading = fading_rate(speed, h[c], nu)
         theta[c] = np.exp(-dt * fading)
-        taken = 1.0 - theta[c] * theta[c]
-        lag = lag_of(taken, 2.0 * fading, dt, fading, h[c], nu, damping[c])
+        relax = relaxation_rate(speed, h[c], nu)
+        taken = -np.expm1(-dt * relax)
+        lag = lag_of(taken, relax, dt, fading, h[c], nu, damping[c])
         for i in range(M):
             mass[dofs[c, i]] += share * weight[c]
             part[dofs[c, i]] += share * weight[c] * taken
@@ -50,7 +57,7 @@ def mass_and_misfit(dofs, weight, q, u, h, nu, dt, damping, gain, nodal_gain, ma
                 mean += u[dofs[c, i], k]
                 rise += nodal_gain[dofs[c, i], k]
             misfit_k = share * weight[c] * (q[c, k] - share * mean)
-            feed_k = share * weight[c] * lag * (gain[c, k] - share * rise)
+            feed_k = share * weight[c] * lag * (gain[c, k] - share * rise - fades[c, k])
             for i in range(M):
                 misfit[dofs[c, i], k] += misfit_k
                 feed[dofs[c, i], k] += feed_k
@@ -167,8 +174,9 @@ def fix_rows(dofs, at, fixed, values, kept, lift, boundary):
 
 
 @by_dimension
-def memory(dofs, mass0, mass1, q, u, h, dt, nu, theta, damping, gain, nodal_gain, kept, defect):
-    """What the nodes do not carry, r = q - mean u, fades at a rate k; ``defect`` gets the momentum that lost, per node.
+def memory(dofs, mass0, mass1, q, u, h, dt, nu, theta, damping, gain, nodal_gain, fades, kept, defect):
+    """What the nodes do not carry, r = q - mean u, fades at a rate k; ``defect`` gets the momentum that lost, per node, ``fades``
+    the change per time.
 
     Drag and pressure feed r with a = gain - mean nodal gain, as of the last step. They act after the fading, over a whole step;
     what fades of that meanwhile, (dt - (1 - exp(-k dt)) / k) a, is taken off beforehand. So r = a / k in a steady state.
@@ -188,6 +196,7 @@ def memory(dofs, mass0, mass1, q, u, h, dt, nu, theta, damping, gain, nodal_gain
                 rise += nodal_gain[dofs[c, i], k]
             r = q[c, k] - share * mean
             kept[c, k] = theta[c] * r - lag * (gain[c, k] - share * rise)
+            fades[c, k] = (r - kept[c, k]) / dt
             part = share * (mass1[c] * kept[c, k] - mass0[c] * r)
             for i in range(M):
                 defect[dofs[c, i], k] += part
@@ -261,3 +270,12 @@ def mass_balance(dofs, grad, volume, phi, rate, q, residual, scale):
                 flux += grad[c, i, k] * q[c, k]
             residual[dofs[c, i]] += volume[c] * (phi[c] * flux - rate[c] / M)
             scale[dofs[c, i]] += volume[c] * (abs(phi[c] * flux) + abs(rate[c] / M))
+
+
+@by_dimension
+def take_gradient(dofs, grad, psi, flux):
+    """Subtract the gradient of a nodal function from ``flux``."""
+    for c in range(len(dofs)):
+        for k in range(D):
+            for i in range(M):
+                flux[c, k] -= grad[c, i, k] * psi[dofs[c, i]]

@@ -4,7 +4,7 @@ import ctypes
 import numpy as np
 from petsc4py import PETSc
 
-from fe_el.fluid import kernels
+from fe_el.fluid import kernels, node_kernels
 from fe_el.messages import largest, ranks_of
 
 _petsc = ctypes.CDLL(PETSc.__file__)
@@ -94,6 +94,7 @@ class LinearSolver:
         self.nullspace = PETSc.NullSpace().create(constant=True, comm=matrix.comm) if constant_nullspace else None
         if self.nullspace:
             matrix.setNullSpace(self.nullspace)
+        self.ksp.setConvergenceHistory(reset=True)
         self._read_options(self.ksp)
         self.x, self.b = matrix.createVecs()
         self.iterations, self.fallbacks, self.resort, self.ranks = 0, 0, 0, ranks_of(matrix.comm.tompi4py())
@@ -153,10 +154,9 @@ class LinearSolver:
 
     def _try(self, ksp, guess):
         self.x.array[:] = guess
-        ksp.setConvergenceHistory(reset=True)
         try:
             ksp.solve(self.b, self.x)
-            failed = not np.isfinite(self.x.array).all()
+            failed = not node_kernels.finite(self.x.array)
         except PETSc.Error:  # a preconditioner that cannot be built or applied on this rank
             failed = True
         self.iterations = ksp.getIterationNumber()
@@ -173,5 +173,6 @@ class LinearSolver:
         if method == "fgmres":
             ksp.setGMRESRestart(80)
         ksp.setTolerances(rtol=self.ksp.getTolerances()[0], atol=1e-300, max_it=800)
+        ksp.setConvergenceHistory(reset=True)
         self._read_options(ksp)
         return ksp

@@ -1,4 +1,5 @@
 """Numba loops over the nodes of the cell-node scheme."""
+import numpy as np
 from numba import njit
 
 from fe_el.fluid.for_each_dimension import FAST
@@ -14,14 +15,16 @@ def relaxed(start, part, misfit, feed, mass, whole, out):
 
 
 @njit(cache=True, fastmath=FAST)
-def transport_load(mass, u, force, explicit, lift, dt, held, boundary, diagonal, rhs, system):
-    """Right-hand side of transport (nodes, d), and of the systems of each component (d, owned nodes) with fixed values."""
+def transport_load(mass, u, last_change, force, explicit, lift, dt, held, boundary, diagonal, rhs, system, guess):
+    """Right-hand side of transport (nodes, d), that of the systems of each component (d, owned nodes) with fixed values, and a
+    guess of the solutions."""
     owned = len(diagonal)
     for i in range(len(u)):
         for k in range(u.shape[1]):
             rhs[i, k] = mass[i] * u[i, k] / dt + force[i, k] + explicit[i, k]
             if i < owned:
                 system[k, i] = rhs[i, k] + lift[i, k]
+                guess[k, i] = u[i, k] + last_change[i, k]
     for i in held:
         if i < owned:
             for k in range(u.shape[1]):
@@ -76,6 +79,65 @@ def take_force(u, force, mass, dt, out):
     for i in range(len(u)):
         for k in range(u.shape[1]):
             out[i, k] = u[i, k] - dt * force[i, k] / mass[i]
+
+
+@njit(cache=True, fastmath=FAST)
+def after_exchange(u, force, correction, mass, dt, new, gain):
+    """Nodal velocity after the force; ``gain`` is what raises the nodes against their cells per time: the force, and the momentum
+    that fading took off the cells."""
+    for i in range(len(u)):
+        for k in range(u.shape[1]):
+            rise = force[i, k] / mass[i]
+            new[i, k] = u[i, k] + dt * rise
+            gain[i, k] = rise + correction[i, k] / dt
+
+
+@njit(cache=True, fastmath=FAST)
+def fix_entries(held, diagonal, values, rhs):
+    """Right-hand side of the held entries that this rank owns."""
+    for i in held:
+        if i < len(diagonal):
+            rhs[i] = diagonal[i] * values[i]
+
+
+@njit(cache=True)
+def add_to_nodes(facet_nodes, values, total):
+    """Add the value of each facet to all of its nodes."""
+    for f in range(len(facet_nodes)):
+        for k in range(facet_nodes.shape[1]):
+            total[facet_nodes[f, k]] += values[f]
+
+
+@njit(cache=True)
+def same(a, b):
+    """Whether two vectors are equal, entry by entry."""
+    for i in range(len(a)):
+        if a[i] != b[i]:
+            return False
+    return True
+
+
+@njit(cache=True)
+def finite(a):
+    """Whether all entries of a vector are finite."""
+    for value in a:
+        if not np.isfinite(value):
+            return False
+    return True
+
+
+@njit(cache=True, fastmath=FAST)
+def slip(u, nodes, normal, fixed, mass, rate, force):
+    """Take the normal part at slip walls, in place, and add what that took, mass times velocity times ``rate``, to ``force``."""
+    for n in range(len(nodes)):
+        i, along = nodes[n], 0.0
+        if fixed[i]:
+            continue
+        for k in range(u.shape[1]):
+            along += normal[n, k] * u[i, k]
+        for k in range(u.shape[1]):
+            u[i, k] -= normal[n, k] * along
+            force[i, k] -= rate * mass[i] * normal[n, k] * along
 
 
 @njit(cache=True, fastmath=FAST)

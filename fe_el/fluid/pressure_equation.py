@@ -1,7 +1,7 @@
 """The Poisson equation of the pressure: assembled when its weights change, with fixed pressures at outlets."""
 import numpy as np
 
-from fe_el.fluid import kernels
+from fe_el.fluid import kernels, node_kernels
 from fe_el.fluid.linear_solver import ElementMatrix, LinearSolver
 from fe_el.messages import largest
 
@@ -17,7 +17,9 @@ class PressureEquation:
     """
 
     def __init__(self, fluid):
-        self.fluid, self._weight, self._boundary = fluid, None, None
+        self.fluid, self.held = fluid, np.flatnonzero(fluid.fixed_pressure)
+        self._weight, self._values = np.full(fluid.num_cells, np.nan), np.full(fluid.nodes, np.nan)  # equal to none
+        self._boundary, self._lift = np.zeros((fluid.nodes, 1)), np.zeros((fluid.nodes, 1))
         self.elements = ElementMatrix(fluid.space, fluid.dofs)
         self.solver = LinearSolver(self.elements.matrix, "pressure", "cg", "gamg", fluid.tolerance, not fluid.outlets)
 
@@ -31,29 +33,33 @@ class PressureEquation:
         Raises:
             SolverDiverged: if the solver fails.
         """
-        air, own, p = self.fluid, self.fluid.owned_nodes, self.fluid.pressure.x.array
-        boundary = air.nodal_zeros((1,))
+        air, own, p, work = self.fluid, self.fluid.owned_nodes, self.fluid.pressure.x.array, self.fluid.work
         for facets, value in air.outlets:
-            boundary[facets.nodes, 0] = value(air.time) if callable(value) else value
-        self._assemble(weight, boundary)
+            self._boundary[facets.nodes, 0] = value(air.time) if callable(value) else value
+        self._assemble(weight)
         rhs += self._lift[:, 0]
         air.node_halo.reverse_add(rhs)
-        fixed = air.fixed_pressure[:own]
-        rhs[:own][fixed] = self._diagonal[fixed] * boundary[:own, 0][fixed]
-        old, last = p.copy(), air.last_pressure
-        p[:own] = self.solver.solve(rhs[:own], (old if last is None else 2 * old - last)[:own])
+        node_kernels.fix_entries(self.held, self._diagonal, self._boundary[:, 0], rhs)
+        last, old = air.last_pressure, work.other("old_pressure", air.last_pressure, air.nodes)
+        old[:], guess = p, work.empty("pressure_guess", air.nodes)
+        guess[:] = p
+        if last is not None:
+            guess += old
+            guess -= last
+        p[:own] = self.solver.solve(rhs[:own], guess[:own])
         air.last_pressure = old
         air.node_halo.forward(p)
 
-    def _assemble(self, weight, boundary):
+    def _assemble(self, weight):
         """The matrix, unless nothing that enters it has changed on any rank."""
-        air = self.fluid
-        same = np.array_equal(weight, self._weight) and np.array_equal(boundary, self._boundary)
-        if not largest(air.ranks, float(not same)):
+        air, values = self.fluid, self._boundary[:, 0]
+        as_before = node_kernels.same(weight, self._weight) and node_kernels.same(values, self._values)
+        if not largest(air.ranks, float(not as_before)):
             return
-        self._weight, self._boundary, self._lift = weight, boundary, air.nodal_zeros((1,))
+        self._weight[:], self._values[:] = weight, values
+        self._lift.fill(0.0)
         kernels.poisson_matrix(air.dofs, air.gradient, weight, self.elements.values)
-        self.elements.fix(air.fixed_pressure, self._lift, boundary)
+        self.elements.fix(air.fixed_pressure, self._lift, self._boundary)
         self.elements.assemble()
         self.solver.new_values()
         self._diagonal = self.elements.diagonal()

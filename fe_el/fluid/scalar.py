@@ -5,8 +5,9 @@ import numpy as np
 from dolfinx import fem
 
 from fe_el.checks import require_positive
-from fe_el.fluid import kernels
+from fe_el.fluid import kernels, node_kernels
 from fe_el.fluid.linear_solver import ElementMatrix, LinearSolver
+from fe_el.fluid.work_arrays import WorkArrays
 
 
 class Scalar:
@@ -43,11 +44,12 @@ class Scalar:
         self.source, self.fixed, self.seconds = None, [], {name: 0.0}
         self.matrix = ElementMatrix(fluid.space, fluid.dofs)
         self.solver = LinearSolver(self.matrix.matrix, name, "bcgs", "jacobi", tolerance)
-        self.name = name
+        self.name, self.work, self._held = name, WorkArrays(), None
 
     def set_value(self, group, value):
         """Fix the value on a boundary group: a number or a function of time."""
         self.fixed.append((self.fluid.boundary(group), value))
+        self._held = None
 
     def advance(self, dt):
         """Advance by ``dt`` [s], the step that the fluid has just made.
@@ -56,51 +58,57 @@ class Scalar:
             SolverDiverged: if the solver fails.
         """
         tick = time.perf_counter()
-        air, c = self.fluid, self.value.x.array
+        air, work, values = self.fluid, self.work, self.matrix.values
+        old, rhs = work.empty("old", air.nodes, 1), work.zeros("rhs", air.nodes, 1)
+        old[:, 0] = self.value.x.array
         phi0, phi1 = air.void_fractions
-        flux = air.step_flux
-        old, rhs, values = c[:, None].copy(), np.zeros((air.nodes, 1)), self.matrix.values
-        thetas, share, middle = air.theta_of(self.diffusivity, dt), phi1, air.time
+        share, middle = phi1, air.time
         if air.second_order:
-            share, middle = 0.5 * (phi0 + phi1), air.time - 0.5 * dt
-        kernels.transport_matrix(air.dofs, air.gradient, air.volume, air.density, air.density * share * self.diffusivity, dt, phi1,
-                                 air.rate, flux, air.fixed_pressure, thetas, old, values, rhs)
+            share, middle = np.add(phi0, phi1, out=work.empty("share", air.num_cells)), air.time - 0.5 * dt
+            share *= 0.5
+        stress = np.multiply(share, air.density * self.diffusivity, out=work.empty("stress", air.num_cells))
+        kernels.transport_matrix(air.dofs, air.gradient, air.volume, air.density, stress, dt, phi1, air.rate, air.step_flux,
+                                 air.fixed_pressure, air.theta_of(self.diffusivity, dt), old, values, rhs)
         if air.upwind:
-            air.stabilisation(air, share, flux, old, values, rhs)
+            air.stabilisation(air, share, air.step_flux, old, values, rhs)
         for facets, _ in air.outlets:
-            kernels.open_boundary(facets.cell, facets.local, facets.area_normal, flux, values)
-        mass0, mass1 = np.zeros((air.nodes, 1)), np.zeros((air.nodes, 1))
-        kernels.scatter(air.dofs, (air.density * phi0 * air.volume)[:, None], mass0)
-        kernels.scatter(air.dofs, (air.density * phi1 * air.volume)[:, None], mass1)
+            kernels.open_boundary(facets.cell, facets.local, facets.area_normal, air.step_flux, values)
+        mass0, mass1 = work.zeros("mass0", air.nodes, 1), work.zeros("mass1", air.nodes, 1)
+        kernels.scatter(air.dofs, air.cell_mass0[:, None], mass0)
+        kernels.scatter(air.dofs, air.cell_mass[:, None], mass1)
         if self.source is not None:
-            kernels.scatter(air.dofs, (air.at_cells(self.source, (air.num_cells,), middle) * air.volume)[:, None], rhs)
+            supply = np.multiply(air.at_cells(self.source, (air.num_cells,), middle), air.volume, out=work.empty("supply", air.num_cells))
+            kernels.scatter(air.dofs, supply[:, None], rhs)
         air.complete(mass0, mass1, rhs)
-        rhs += mass0 * old / dt
-        self._solve(dt, rhs, mass1, old)
+        self._solve(dt, rhs, mass0, mass1, old)
         self.seconds[self.name] += time.perf_counter() - tick
 
-    def _solve(self, dt, rhs, mass, old):
-        air, own, values = self.fluid, self.fluid.owned_nodes, self.matrix.values
-        mark, boundary = np.zeros(air.nodes, bool), np.zeros((air.nodes, 1))
+    def _solve(self, dt, rhs, mass0, mass1, old):
+        air, own, values, work = self.fluid, self.fluid.owned_nodes, self.matrix.values, self.work
+        if self._held is None:
+            mark = np.zeros(air.nodes, bool)
+            for facets, _ in self.fixed:
+                mark[facets.nodes] = True
+            self._mark, self._held, self._unmoved = mark, np.flatnonzero(mark), np.zeros((air.nodes, 1))
+        boundary, lift = work.zeros("boundary", air.nodes, 1), work.zeros("lift", air.nodes, 1)
         for facets, value in self.fixed:
-            mark[facets.nodes] = True
             boundary[facets.nodes] = value(air.time) if callable(value) else value
-        lift = np.zeros((air.nodes, 1))
-        self.matrix.fix(mark, lift, boundary)
+        self.matrix.fix(self._mark, lift, boundary)
         air.node_halo.reverse_add(lift)
         self.matrix.assemble()
         self.matrix.release()
         self.solver.new_values()
-        system = (rhs + lift)[:own, 0]
-        system[mark[:own]] = (self.matrix.matrix.getDiagonal().array * boundary[:own, 0])[mark[:own]]
-        new = old.copy()
-        new[:own, 0] = self.solver.solve(system, old[:own, 0])
+        load, system, guess = work.empty("load", air.nodes, 1), work.empty("system", 1, own), work.empty("guess", 1, own)
+        node_kernels.transport_load(mass0[:, 0], old, self._unmoved, self._unmoved, rhs, lift, dt, self._held, boundary,
+                                    self.matrix.diagonal(), load, system, guess)
+        new = work.empty("new", air.nodes, 1)
+        new[:own, 0] = self.solver.solve(system[0], guess[0])
         air.node_halo.forward(new)
-        balance = np.zeros((air.nodes, 1))
+        balance = work.zeros("balance", air.nodes, 1)
         kernels.apply_elements(air.dofs, values, new, balance)
         air.complete(balance)
-        exact = new + dt * (rhs + balance) / mass
-        self.value.x.array[:] = np.where(mark[:, None], new, exact)[:, 0]
+        node_kernels.close_transport(mass1[:, 0], load, balance, self._unmoved, dt, self._held, new, work.empty("none", air.nodes, 1))
+        self.value.x.array[:] = new[:, 0]
 
     def total(self):
         """Integral of rho phi c over the domain."""

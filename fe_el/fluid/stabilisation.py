@@ -21,9 +21,21 @@ def _convection(dofs, grad, volume, flux, u, share_out):
                 share_out[dofs[c, i], k] += volume[c] / M * along
 
 
+@njit(cache=True)
+def _weights(flux, density, share, h, viscosity, factor, weight):
+    """factor / (2 |u| / h + 4 nu / h^2) / (rho phi)."""
+    for c in range(len(flux)):
+        square = 0.0
+        for k in range(flux.shape[1]):
+            square += flux[c, k] ** 2
+        mass = density * share[c]
+        rate = 2 * np.sqrt(square) / mass / h[c] + 4 * viscosity / density / h[c] ** 2
+        weight[c] = factor / max(rate, 1e-300) / mass
+
+
 @by_dimension
-def _streamline(dofs, grad, volume, flux, weight, mean, values, rhs):
-    """Add weight (M . grad u - mean, M . grad w); the nodal mean of the last step goes to ``rhs``."""
+def _streamline(dofs, grad, volume, flux, weight, mean, node_volume, values, rhs):
+    """Add weight (M . grad u - mean / node volume, M . grad w); the nodal mean of the last step goes to ``rhs``."""
     slope = np.empty(M)
     for c in range(len(dofs)):
         for i in range(M):
@@ -36,7 +48,7 @@ def _streamline(dofs, grad, volume, flux, weight, mean, values, rhs):
         for k in range(D):
             average = 0.0
             for j in range(M):
-                average += mean[dofs[c, j], k]
+                average += mean[dofs[c, j], k] / node_volume[dofs[c, j], 0]
             for i in range(M):
                 rhs[dofs[c, i], k] += weight[c] * volume[c] * slope[i] * average / M
 
@@ -76,13 +88,12 @@ class Streamline:
 
     def __call__(self, air, share, flux, u, values, rhs):
         """Add the terms to the element matrices and to the nodal right-hand side; collective."""
-        mean = air.nodal_zeros((air.dimension,))
+        mean = air.work.zeros("mean_convection", air.nodes, air.dimension)
         _convection(air.dofs, air.gradient, air.volume, flux, u, mean)
         air.complete(mean)
-        density = air.density * share
-        rate = 2 * np.linalg.norm(flux, axis=1) / density / air.h + 4 * air.viscosity / air.density / air.h ** 2
-        weight = self.factor / np.maximum(rate, 1e-300) / density
-        _streamline(air.dofs, air.gradient, air.volume, flux, weight, mean / air.node_volume, values, rhs)
+        weight = air.work.empty("streamline", air.num_cells)
+        _weights(flux, air.density, share, air.h, air.viscosity, self.factor, weight)
+        _streamline(air.dofs, air.gradient, air.volume, flux, weight, mean, air.node_volume, values, rhs)
 
 
 class Upwind:

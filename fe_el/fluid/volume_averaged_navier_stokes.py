@@ -8,15 +8,15 @@ from fe_el.exchange import Halo
 from fe_el.fluid import kernels, node_kernels
 from fe_el.fluid.boundary_conditions import Boundaries, velocity_at
 from fe_el.fluid.cells_and_nodes import CellsAndNodes
-from fe_el.fluid.continuity import ClosedFlux, Ledger
+from fe_el.fluid.continuity import Ledger
 from fe_el.fluid.linear_solver import ElementMatrix, LinearSolver
 from fe_el.fluid.pressure_equation import PressureEquation
-from fe_el.messages import largest
+from fe_el.fluid.transport import Transport
 
 START_STEPS = 2  # implicit Euler steps that damp a start which does not fit its boundary conditions
 
 
-class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger):
+class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
     """Flow of a fluid through the void fraction phi left by particles (model A).
 
         d(rho phi)/dt + div(rho phi u) = 0
@@ -68,9 +68,9 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger):
         self.velocity = fem.Function(fem.VectorFunctionSpace(mesh, ("DG", 0)), name="velocity")
         self.pressure = fem.Function(self.space, name="pressure")
         self.cell_halo = Halo.of_index_map(mesh.comm, self.velocity.function_space.dofmap.index_map)
-        self.nodal_velocity, self.force, self.gain = None, np.zeros((self.nodes, d)), np.zeros((n, d))
-        self.nodal_gain, self.theta = np.zeros((self.nodes, d)), np.empty(n)
-        self.void_fraction, self.rate = None, np.zeros(n)
+        self.theta = np.empty(n)
+        for name, value in self.memory_at_rest().items():
+            setattr(self, name, value)
         self.time, self.step, self.seconds = 0.0, 0, {"fluid": 0.0}
         self.inlets, self.outlets, self.no_slip, self.slip, self._facets = [], [], [], [], {}
         mean = np.zeros(d) if mean_pressure_gradient is None else np.asarray(mean_pressure_gradient, float)[:d]
@@ -79,8 +79,15 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger):
         self.turbulence, self.time_order, self.stabilisation = turbulence, time_order, stabilisation
         self.upwind = stabilisation is not None and stabilisation.upwind
         self.mean_pressure_gradient, self.stress_of_mixture = mean.copy(), bool(stress_of_mixture)
-        self.ready, self._last_flux, self.step_flux, self._closed_flux, self._to_close = False, None, None, None, 0
-        self.body_force = self.mass_source = self.last_pressure = self.last_force = self.last_change = None
+        self.ready, self.step_flux, self._to_close, self._single_phase = False, None, 0, None
+        self.body_force = self.mass_source = None
+
+    def memory_at_rest(self):
+        """What a step takes over from the last beside velocity and pressure, by name, before the first step."""
+        n, d, nodes = self.num_cells, self.dimension, self.nodes
+        none = dict.fromkeys(("void_fraction", "_last_flux", "nodal_velocity", "last_pressure", "last_force"))
+        return {**none, "rate": np.zeros(n), **{name: np.zeros((n, d)) for name in ("gain", "fades")},
+                **{name: np.zeros((nodes, d)) for name in ("force", "nodal_gain", "slip_force", "last_change")}}
 
     def set_initial_velocity(self, value):
         """Interstitial velocity at the start: d numbers, or a function (time, position) as for inlets."""
@@ -102,24 +109,11 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger):
             self.fixed_pressure[facets.nodes] = True
         slip = [(np.zeros(0, np.int64), np.zeros((0, self.dimension))), *self.slip]
         self.slip_nodes, self.slip_normals = (np.concatenate(a) for a in zip(*slip))
-        self.held, self._thetas, self._steady_inflow = np.flatnonzero(self.fixed), {}, None
+        self.held, self._thetas, self._steady_inflow, self._closed_flux = np.flatnonzero(self.fixed), {}, None, None
         self.pressure_equation = PressureEquation(self)
         self.boundary_velocity, self._values_set = np.zeros((self.nodes, self.dimension)), False
         if closed:
             self.check_inflow()
-
-    def theta_of(self, diffusivity, dt):
-        """Implicit part (cells,) of transport: 1/2, and more where diffusion is so fast that half a step of it would only ring."""
-        if not self.second_order:
-            return np.ones(self.num_cells)
-        key = (float(diffusivity), dt) if np.ndim(diffusivity) == 0 else None
-        if key is None or key not in self._thetas:
-            z = np.clip(0.04 * diffusivity * dt / self.h ** 2, 1e-3, 500)
-            theta = np.where(z > 1e-3, 1 / -np.expm1(-z) - 1 / z, 0.5)
-            if key is None:
-                return theta
-            self._thetas = {**self._thetas, key: theta} if len(self._thetas) < 8 else {key: theta}  # those of the last steps
-        return self._thetas[key]
 
     # -- one step ------------------------------------------------------------------------------------------------------
 
@@ -143,10 +137,10 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger):
         tick = time.perf_counter()
         n, d = self.num_cells, self.dimension
         if fields is None:
-            phi, drag, source = np.ones(n), np.zeros(n), np.zeros((n, d))
+            phi, drag, source = self._single_phase = self._single_phase or (np.ones(n), np.zeros(n), np.zeros((n, d)))
         else:
-            phi, drag = fields[0].x.array[:n].copy(), fields[1].x.array[:n]
-            source = fields[2].x.array.reshape(-1, d)[:n]
+            phi, drag = self.work.other("void_fraction", self.void_fraction, n), fields[1].x.array[:n]
+            phi[:], source = fields[0].x.array[:n], fields[2].x.array.reshape(-1, d)[:n]
             if n and not phi.min() > 0:
                 raise ValueError(f"The void fraction of cell {int(np.argmin(phi))} on rank {self.comm.rank} is "
                                  f"{phi.min():g}; it must be positive. Use larger cells or smoothing.")
@@ -154,151 +148,74 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger):
         if not self.ready:
             self._setup()
             self.set_boundary_values(phi0 if phi0 is not phi or fields is not None else None)
-        q = self.velocity.x.array.reshape(-1, d)[:n].copy()
-        rate0, self.rate = self.rate, (phi - phi0) / dt
+        q = self.work.empty("start_of_cells", n, d)
+        q[:] = self.velocity.x.array.reshape(-1, d)[:n]
+        rate0, self.rate = self.rate, self.work.other("rate", self.rate, n)
+        np.subtract(phi, phi0, out=self.rate)
+        self.rate /= dt
         flux = self.step_flux = self._mass_flux(dt, phi0, q)
         self.time, self.step = self.time + dt, self.step + 1
         self.second_order = self.time_order == 2 and self.step > START_STEPS and not self.upwind
-        self.damping = drag * dt / (self.density * phi + drag * dt)
-        u = self._relax(dt, phi0, q)
+        self._masses_and_damping(dt, phi0, phi, drag)
+        u = self._relax(dt, q)
         self.set_boundary_values(None if fields is None else phi)
-        self.cell_mass = self.density * phi * self.volume
         transported, defect = self._fade(dt, q, u)
         nodal = self._transport_step(dt, phi0, phi, flux, u, defect)
-        # the rate at the end of the step, where continuity is imposed: of the parabola through three void fractions
-        end_rate = self.rate + (dt / (dt + self.dt) * (self.rate - rate0) if self.second_order else 0.0)
+        self._supply(dt, rate0)
         share = phi if pressure_share is None else pressure_share
-        self._exchange(dt, phi, share, end_rate, drag, source, nodal, transported)
+        self._exchange(dt, phi, share, drag, source, nodal, transported)
         self.void_fraction, self.void_fractions, self.dt = phi, (phi0, phi), dt
         self.seconds["fluid"] += time.perf_counter() - tick
 
-    def _mass_flux(self, dt, phi0, q):
-        """Mass flux rho phi u of the step: carried on to its middle for second order, and closed if the void fraction moves."""
-        flux, last, now = np.empty_like(q), self._last_flux, np.empty_like(q)
-        part = 0.5 * dt / self.dt if self.time_order == 2 and last is not None and not self.upwind else 0.0
-        kernels.mass_flux(self.dofs, self.density, phi0, q, part, now if last is None else last, now, flux)
-        self._last_flux = now
-        moves = np.any(self.rate) or (self.step == 0 and np.any(q))
-        if largest(self.ranks, float(moves)):
-            self._to_close = 3  # steps whose flux is made of velocities that fit another rate
-        if not self._to_close:
-            return flux
-        self._to_close -= 1
-        self._closed_flux = self._closed_flux or ClosedFlux(self)
-        return self._closed_flux(flux, self.time + 0.5 * dt)
+    def _masses_and_damping(self, dt, phi0, phi, drag):
+        """Fluid mass of the cells before and after the step, and the part of their velocity that drag takes in it."""
+        n, density = self.num_cells, self.density
+        self.cell_mass0, self.cell_mass, self.damping = (self.work.empty(k, n) for k in ("cell_mass0", "cell_mass", "damping"))
+        for void, mass in ((phi0, self.cell_mass0), (phi, self.cell_mass)):
+            np.multiply(void, self.volume, out=mass)
+            mass *= density
+        inertia = np.multiply(phi, density / dt, out=self.work.empty("inertia", n))
+        inertia += drag
+        np.divide(drag, inertia, out=self.damping)
 
-    def _relax(self, dt, phi0, q):
-        """Stage 1: u <- u + a P(q - mean u) moves the nodes towards the least-squares fit of the cells.
+    def _supply(self, dt, rate0):
+        """Fluid volume that each cell gives off per volume and time, at the end of the step, where continuity is imposed.
 
-        a = 1 - exp(-2 dt r) with the cells' rate r of convection and viscosity: a rate, not a part per step, so that the
-        scheme converges with the step.
+        The rate of the void fraction there is that of the parabola through three void fractions.
         """
-        d = self.dimension
-        self.cell_mass0 = self.density * phi0 * self.volume
-        self.mass0, part = self.nodal_zeros(()), self.nodal_zeros(())
-        misfit, feed = self.nodal_zeros((d,)), self.nodal_zeros((d,))
-        start = self.nodal_zeros((d,)) if self.nodal_velocity is None else self.nodal_velocity
-        kernels.mass_and_misfit(self.dofs, self.cell_mass0, q, start, self.h, self.viscosity / self.density, dt, self.damping, self.gain,
-                                self.nodal_gain, self.mass0, misfit, part, feed, self.theta)
-        if self.upwind:  # towards the plain mean of the cells, which stays in their range
-            misfit[:], feed[:] = 0.0, 0.0
-            kernels.scatter(self.dofs, self.cell_mass0[:, None] * q, misfit)
-            self.complete(self.mass0, misfit, part)
-            misfit -= self.mass0[:, None] * start
-        else:
-            self.complete(self.mass0, misfit, part, feed)
-        u = np.empty_like(start)
-        node_kernels.relaxed(start, part, misfit, feed, self.mass0, self.nodal_velocity is None, u)
-        self.impose(u)
-        return u
+        self.supply = self.work.empty("supply", self.num_cells)
+        self.supply[:] = self.rate
+        if self.second_order:
+            part, bend = dt / (dt + self.dt), np.subtract(self.rate, rate0, out=self.work.empty("bend", self.num_cells))
+            bend *= part
+            self.supply += bend
+        if self.mass_source is not None:
+            self.supply -= self.at_cells(self.mass_source, (self.num_cells,))
 
-    def _transport_step(self, dt, phi0, phi, flux, u, defect):
-        """Stage 2: convection and viscosity of the nodal velocity, implicit, skew-symmetric, conserving momentum."""
-        d, values = self.dimension, self._transport.values
-        theta = self.theta_of(self.viscosity / self.density, dt)
-        share = 0.5 * (phi0 + phi) if self.second_order else phi
-        stress = self.viscosity * (np.ones_like(phi) if self.stress_of_mixture else share)
-        if self.turbulence is not None:
-            stress = stress + self.density * share * self.turbulence(self, u)
-        explicit = self.nodal_zeros((d,))
-        kernels.transport_matrix(self.dofs, self.gradient, self.volume, self.density, stress, dt, phi, self.rate,
-                                 flux, self.fixed_pressure, theta, u, values, explicit)
-        if self.stabilisation is not None:
-            self.stabilisation(self, share, flux, u, values, explicit)
-        for facets, _ in self.outlets:
-            kernels.open_boundary(facets.cell, facets.local, facets.area_normal, flux, values)
-        lift = self.nodal_zeros((d,))
-        self._transport.fix(self.fixed, lift, self.boundary_velocity)
-        self.complete(explicit, lift)
-        self._transport.assemble()
-        self._transport.release()
-        self.transport_solver.new_values()
-        own, new, rhs, system = self.owned_nodes, u.copy(), np.empty_like(u), np.empty((d, self.owned_nodes))
-        node_kernels.transport_load(self.mass0, u, self.force, explicit, lift, dt, self.held, self.boundary_velocity,
-                                    self._transport.diagonal(), rhs, system)
-        guess = u[:own] if self.last_change is None else u[:own] + self.last_change[:own]
-        for k in range(d):
-            new[:own, k] = self.transport_solver.solve(system[k], guess[:, k])
-        self.last_change = new - u
-        self.node_halo.forward(new)
-        # one evaluation of the fluxes at the solution makes the balance exact whatever the solver's tolerance
-        self.mass = self.nodal_zeros(())
-        kernels.scatter(self.dofs, self.cell_mass[:, None], self.mass[:, None])
-        balance = self.nodal_zeros((d,))
-        kernels.apply_elements(self.dofs, values, new, balance)
-        self.complete(self.mass, balance, defect)
-        self._correction = np.empty_like(new)
-        node_kernels.close_transport(self.mass, rhs, balance, defect, dt, self.held, new, self._correction)
-        self.reaction = balance  # at fixed nodes: what the wall adds per time to hold the velocity
-        self.impose(new)
-        node_kernels.take_force(new, self._force_ahead(dt), self.mass, dt, rhs)
-        return rhs
-
-    def _force_ahead(self, dt):
-        """The last step's nodal force of drag and pressure; where walls hold the nodes, carried on to this step.
-
-        A wall takes its share of the force on a cell. With the last step's share that would be an error of first order in time.
-        What is added is at most the force itself: no noise grows by it.
-        """
-        force, last, self.last_force = self.force, self.last_force, self.force
-        if last is None or not self.second_order:
-            return force
-        ratio = min((dt + self.dt) / (2 * self.dt), 1.5)
-        out = np.empty_like(force)
-        node_kernels.carry_on(force, last, ratio, self.held, self.slip_nodes, self.slip_normals, out)
-        return out
-
-    def _fade(self, dt, q, u):
-        """What the nodes cannot represent fades at the rate of convection and viscosity; nodal sums of the momentum it lost."""
-        d = self.dimension
-        kept, defect = np.empty_like(q), self.nodal_zeros((d,))
-        kernels.memory(self.dofs, self.cell_mass0, self.cell_mass, q, u, self.h, dt, self.viscosity / self.density, self.theta,
-                       self.damping, self.gain, self.nodal_gain, kept, defect)
-        return kept, defect
-
-    def _exchange(self, dt, phi, share, rate, drag, source, nodal, transported):
+    def _exchange(self, dt, phi, share, drag, source, nodal, transported):
         """Stage 3: drag and pressure together; an exact projection with the drag on the diagonal."""
-        n, d = self.num_cells, self.dimension
-        q, diagonal, weight, rhs = np.empty((n, d)), np.empty(n), np.empty(n), self.nodal_zeros(())
-        body = self.density * self.gravity + self.mean_pressure_gradient
-        middle = self.time - (0.5 * dt if self.second_order else 0.0)
-        body = np.broadcast_to(body, (n, d)) + (0.0 if self.body_force is None else
-                                                self.at_cells(self.body_force, (n, d), middle))
-        self.supply = rate - (0.0 if self.mass_source is None else self.at_cells(self.mass_source, (n,)))
+        n, d, work = self.num_cells, self.dimension, self.work
+        q, body, rhs = work.empty("exchanged", n, d), work.empty("body", n, d), work.zeros("pressure_load", self.nodes)
+        diagonal, weight = work.empty("diagonal", n), work.empty("weight", n)
+        body[:] = self.density * self.gravity + self.mean_pressure_gradient
+        if self.body_force is not None:
+            body += self.at_cells(self.body_force, (n, d), self.time - (0.5 * dt if self.second_order else 0.0))
         kernels.exchange_system(self.dofs, self.gradient, self.volume, self.density, dt, phi, share, self.supply, drag, source,
                                 body, nodal, self._correction, transported, q, diagonal, weight, rhs)
         self.inflow = self.inflow_at(self.time)
         rhs += self.inflow
         self.pressure_equation.solve(weight, rhs)
-        change = self.nodal_zeros((d,))
+        change = work.other("force", self.force, self.nodes, d)
+        change.fill(0.0)
         kernels.pressure_step(self.dofs, self.gradient, self.volume, self.density, dt, phi, share, diagonal,
                               self.pressure.x.array, transported, q, self.gain, change)
         self.complete(change)
         self.velocity.x.array.reshape(-1, d)[:n] = q
         self.cell_halo.forward(self.velocity.x.array.reshape(-1, d))
-        self.nodal_gain, self.nodal_velocity = change / self.mass[:, None], np.empty_like(change)
-        node_kernels.take_force(nodal, change, self.mass, -dt, self.nodal_velocity)
+        self.nodal_velocity = work.empty("nodal_velocity", self.nodes, d)
+        node_kernels.after_exchange(nodal, change, self._correction, self.mass, dt, self.nodal_velocity, self.nodal_gain)
         self.impose(self.nodal_velocity)
         self.force = change
         if self.upwind:  # which takes nothing beforehand
-            self.gain[:], self.nodal_gain[:] = 0.0, 0.0
+            self.gain.fill(0.0)
+            self.nodal_gain.fill(0.0)

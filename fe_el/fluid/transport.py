@@ -1,0 +1,145 @@
+"""The first two stages of the cell-node scheme: nodes follow their cells, and carry the velocity."""
+import numpy as np
+
+from fe_el.fluid import kernels, node_kernels
+from fe_el.fluid.continuity import ClosedFlux
+from fe_el.messages import largest
+
+
+class Transport:
+    """Convection and viscosity by the nodal velocity, of a fluid of cells and nodes."""
+
+    def theta_of(self, diffusivity, dt):
+        """Implicit part (cells,) of transport: 1/2, and more where diffusion is so fast that half a step of it would only ring."""
+        if not self.second_order:
+            theta = self.work.empty("implicit", self.num_cells)
+            theta.fill(1.0)
+            return theta
+        key = (float(diffusivity), dt) if np.ndim(diffusivity) == 0 else None
+        if key is None or key not in self._thetas:
+            z = np.clip(0.04 * diffusivity * dt / self.h ** 2, 1e-3, 500)
+            theta = np.where(z > 1e-3, 1 / -np.expm1(-z) - 1 / z, 0.5)
+            if key is None:
+                return theta
+            self._thetas = {**self._thetas, key: theta} if len(self._thetas) < 8 else {key: theta}  # those of the last steps
+        return self._thetas[key]
+
+    def _mass_flux(self, dt, phi0, q):
+        """Mass flux rho phi u of the step: carried on to its middle for second order, and closed if the void fraction moves."""
+        last, flux = self._last_flux, self.work.empty("flux", *q.shape)
+        now = self.work.other("last_flux", last, *q.shape)
+        part = 0.5 * dt / self.dt if self.time_order == 2 and last is not None and not self.upwind else 0.0
+        kernels.mass_flux(self.dofs, self.density, phi0, q, part, now if last is None else last, now, flux)
+        self._last_flux = now
+        moves = np.any(self.rate) or (self.step == 0 and np.any(q))
+        if largest(self.ranks, float(moves)):
+            self._to_close = 3  # steps whose flux is made of velocities that fit another rate
+        if self._to_close:
+            self._to_close -= 1
+            self._closed_flux = self._closed_flux or ClosedFlux(self)
+            self._closed_flux(flux, self.time + 0.5 * dt)
+        return flux
+
+    def _relax(self, dt, q):
+        """Stage 1: u <- u + a P(q - mean u) moves the nodes towards the least-squares fit of the cells.
+
+        a = 1 - exp(-dt k) with a rate k of convection, and of viscosity but little: a rate, not a part per step, so that the
+        scheme converges with the step.
+        """
+        d, work = self.dimension, self.work
+        self.mass0, part = work.zeros("mass0", self.nodes), work.zeros("part", self.nodes)
+        misfit, feed = work.zeros("misfit", self.nodes, d), work.zeros("feed", self.nodes, d)
+        start = work.zeros("start", self.nodes, d) if self.nodal_velocity is None else self.nodal_velocity
+        kernels.mass_and_misfit(self.dofs, self.cell_mass0, q, start, self.h, self.viscosity / self.density, dt, self.damping, self.gain,
+                                self.nodal_gain, self.fades, self.mass0, misfit, part, feed, self.theta)
+        if self.upwind:  # towards the plain mean of the cells, which stays in their range
+            misfit.fill(0.0)
+            feed.fill(0.0)
+            kernels.scatter(self.dofs, np.multiply(self.cell_mass0[:, None], q, out=work.empty("cells", *q.shape)), misfit)
+            self.complete(self.mass0, misfit, part)
+            misfit -= np.multiply(self.mass0[:, None], start, out=work.empty("nodes", self.nodes, d))
+        else:
+            self.complete(self.mass0, misfit, part, feed)
+        u = work.empty("relaxed", self.nodes, d)
+        node_kernels.relaxed(start, part, misfit, feed, self.mass0, self.nodal_velocity is None, u)
+        self.impose(u)
+        return u
+
+    def _fade(self, dt, q, u):
+        """What the nodes cannot represent fades at the rate of convection and viscosity; nodal sums of the momentum it lost."""
+        kept, defect = self.work.empty("kept", *q.shape), self.work.zeros("defect", self.nodes, self.dimension)
+        kernels.memory(self.dofs, self.cell_mass0, self.cell_mass, q, u, self.h, dt, self.viscosity / self.density, self.theta,
+                       self.damping, self.gain, self.nodal_gain, self.fades, kept, defect)
+        return kept, defect
+
+    def _stress(self, phi0, phi, u):
+        """The cells' share of the stress, and that times the viscosity (cells,) [Pa s]."""
+        share, stress = phi, self.work.empty("stress", self.num_cells)
+        if self.second_order:
+            share = np.add(phi0, phi, out=self.work.empty("share", self.num_cells))
+            share *= 0.5
+        stress[:] = 1.0 if self.stress_of_mixture else share
+        stress *= self.viscosity
+        if self.turbulence is not None:
+            stress += self.density * share * self.turbulence(self, u)
+        return share, stress
+
+    def _transport_step(self, dt, phi0, phi, flux, u, defect):
+        """Stage 2: convection and viscosity of the nodal velocity, implicit, skew-symmetric, conserving momentum."""
+        d, values, work, own = self.dimension, self._transport.values, self.work, self.owned_nodes
+        share, stress = self._stress(phi0, phi, u)
+        explicit, lift = work.zeros("explicit", self.nodes, d), work.zeros("lift", self.nodes, d)
+        kernels.transport_matrix(self.dofs, self.gradient, self.volume, self.density, stress, dt, phi, self.rate, flux,
+                                 self.fixed_pressure, self.theta_of(self.viscosity / self.density, dt), u, values, explicit)
+        if self.stabilisation is not None:
+            self.stabilisation(self, share, flux, u, values, explicit)
+        for facets, _ in self.outlets:
+            kernels.open_boundary(facets.cell, facets.local, facets.area_normal, flux, values)
+        self._transport.fix(self.fixed, lift, self.boundary_velocity)
+        self.complete(explicit, lift)
+        explicit += self.slip_force  # of the last step: transport does not know what keeps the flow along slip walls
+        self._transport.assemble()
+        self._transport.release()
+        self.transport_solver.new_values()
+        rhs, system, guess = work.empty("rhs", self.nodes, d), work.empty("system", d, own), work.empty("guess", d, own)
+        node_kernels.transport_load(self.mass0, u, self.last_change, self.force, explicit, lift, dt, self.held, self.boundary_velocity,
+                                    self._transport.diagonal(), rhs, system, guess)
+        new = work.empty("transported", self.nodes, d)
+        for k in range(d):
+            new[:own, k] = self.transport_solver.solve(system[k], guess[k])
+        self.node_halo.forward(new)
+        np.subtract(new, u, out=self.last_change)
+        return self._balance(dt, new, rhs, defect)
+
+    def _balance(self, dt, new, rhs, defect):
+        """The transported nodal velocity, less the force that it was given beforehand; in ``rhs``.
+
+        One evaluation of the fluxes at the solution makes the balance exact whatever the solver's tolerance.
+        """
+        d, work = self.dimension, self.work
+        self.mass, balance = work.zeros("mass", self.nodes), work.zeros("balance", self.nodes, d)
+        kernels.scatter(self.dofs, self.cell_mass[:, None], self.mass[:, None])
+        kernels.apply_elements(self.dofs, self._transport.values, new, balance)
+        self.complete(self.mass, balance, defect)
+        self._correction = work.empty("correction", self.nodes, d)
+        node_kernels.close_transport(self.mass, rhs, balance, defect, dt, self.held, new, self._correction)
+        self.reaction = balance  # at fixed nodes: what the wall adds per time to hold the velocity
+        if not self.upwind:
+            node_kernels.slip(new, self.slip_nodes, self.slip_normals, self.fixed, self.mass, 1 / dt, self.slip_force)
+        self.impose(new)
+        node_kernels.take_force(new, self._force_ahead(dt), self.mass, dt, rhs)
+        return rhs
+
+    def _force_ahead(self, dt):
+        """The last step's nodal force of drag and pressure; where walls hold the nodes, carried on to this step.
+
+        A wall takes its share of the force on a cell. With the last step's share that would be an error of first order in time.
+        What is added is at most the force itself: no noise grows by it.
+        """
+        force, last, self.last_force = self.force, self.last_force, self.force
+        if last is None or not self.second_order:
+            return force
+        ratio = min((dt + self.dt) / (2 * self.dt), 1.5)
+        out = self.work.empty("force_ahead", *force.shape)
+        node_kernels.carry_on(force, last, ratio, self.held, self.slip_nodes, self.slip_normals, out)
+        return out
