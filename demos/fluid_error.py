@@ -123,7 +123,7 @@ def picture(table, name):
         axis.set(title=scene, xlabel="wall time [s]", ylabel=label)
         axis.grid(alpha=0.3, which="both")
         if axis.lines:
-            axis.legend(loc="upper right", fontsize=8)
+            axis.legend(loc="lower left", fontsize=8)
     figure.tight_layout()
     figure.savefig(name, dpi=110)
     plt.close(figure)
