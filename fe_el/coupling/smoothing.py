@@ -8,7 +8,7 @@ from fe_el.checks import require_positive
 from fe_el.exchange import Halo
 from fe_el.fluid.for_each_dimension import FAST, M, by_dimension
 from fe_el.fluid.kernels import scatter
-from fe_el.fluid.linear_solver import ElementMatrix
+from fe_el.fluid.linear_solver import NodalMatrix
 from fe_el.mesh import barycentric_maps, owned_corners
 
 
@@ -99,13 +99,14 @@ class HelmholtzSmoothing:
         require_positive("smoothing length", length)
         self.length, self.nodes = float(length), Nodes(mesh)
         nodes, m = self.nodes, self.nodes.dofs.shape[1]
-        matrix = ElementMatrix(nodes.space, nodes.dofs)
+        matrix = NodalMatrix(nodes.space, nodes.dofs)
         stiffness = length ** 2 * np.einsum("cik,cjk,c->cij", nodes.gradient, nodes.gradient, nodes.measure)
-        matrix.values[:] = stiffness + np.eye(m) * (nodes.measure / m)[:, None, None]
+        elements = stiffness + np.eye(m) * (nodes.measure / m)[:, None, None]
+        matrix.add(elements)
         matrix.assemble()
         # bounds of the spectrum of D^-1 H from the elements (Fried 1972)
-        scale = 1 / np.sqrt(np.einsum("cii->ci", matrix.values))
-        spectrum = np.linalg.eigvalsh(matrix.values * scale[:, :, None] * scale[:, None, :])
+        scale = 1 / np.sqrt(np.einsum("cii->ci", elements))
+        spectrum = np.linalg.eigvalsh(elements * scale[:, :, None] * scale[:, None, :])
         low = -nodes.comm.allreduce(-spectrum[:, 0].min(initial=np.inf), op=_max())
         high = nodes.comm.allreduce(spectrum[:, -1].max(initial=0.0), op=_max())
         self._local_rows(matrix.matrix)
@@ -208,14 +209,15 @@ class FixedValues:
         self.nodes, self.kappa = Nodes(mesh), float(kappa)
         nodes = self.nodes
         self.stiffness = length ** 2 * np.einsum("cik,cjk,c->cij", nodes.gradient, nodes.gradient, nodes.measure)
-        self.matrix = ElementMatrix(nodes.space, nodes.dofs)
+        self.matrix = NodalMatrix(nodes.space, nodes.dofs)
         self.solver = LinearSolver(self.matrix.matrix, "fixed_values", "cg", "jacobi", 1e-10)
 
     def __call__(self, field, filled):
         """Field (owned cells, k) continued from the cells where ``filled`` is true into the empty ones."""
         nodes, m = self.nodes, self.nodes.dofs.shape[1]
         weight = np.where(filled, 1 + self.kappa, 1.0) * nodes.measure / m
-        self.matrix.values[:] = self.stiffness + np.eye(m) * weight[:, None, None]
+        self.matrix.values.fill(0.0)
+        self.matrix.add(self.stiffness + np.eye(m) * weight[:, None, None])
         self.matrix.assemble()
         self.solver.new_values()
         load = nodes.load(np.where(filled, 1 + self.kappa, 0.0)[:, None] * field)

@@ -3,7 +3,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fe_el.fluid import kernels
-from fe_el.fluid.linear_solver import ElementMatrix, LinearSolver
+from fe_el.fluid.linear_solver import LinearSolver, NodalMatrix
 
 
 class ClosedFlux:
@@ -21,8 +21,8 @@ class ClosedFlux:
 
     def __init__(self, fluid):
         self.fluid = fluid
-        laplacian = ElementMatrix(fluid.space, fluid.dofs)
-        laplacian.values[:] = np.einsum("cik,cjk,c->cij", fluid.gradient, fluid.gradient, fluid.volume)
+        laplacian = NodalMatrix(fluid.space, fluid.dofs)
+        kernels.poisson_matrix(fluid.dofs, laplacian.place, fluid.gradient, fluid.volume, laplacian.values)
         none = fluid.nodal_zeros((1,))
         laplacian.fix(fluid.fixed_pressure, none, none)
         laplacian.assemble()

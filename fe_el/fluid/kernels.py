@@ -20,47 +20,65 @@ def relaxation_rate(speed_squared, h, nu):
 
 
 @njit(cache=True, fastmath=FAST)
-def lag_of(lost, rate, dt, fading, h, nu, damping):
-    """dt - lost / rate with lost = 1 - exp(-rate dt): the time of a step that a steady gain misses of its fading at ``rate``.
+def left_of(x):
+    """What is left after a time x of something that fades at a rate of one: exp(-x) to the third order."""
+    return 1.0 / (1.0 + x * (1.0 + x * (0.5 + x / 6.0)))
 
-    Less in steps that are long against the fading, most of all by viscosity: there the gain of the last step no longer tells
-    that of this one, and energy would grow. With drag (``damping`` = A dt / (rho phi + A dt)) steps may be longer.
+
+@njit(cache=True, fastmath=FAST)
+def lag_of(left, x):
+    """1 - (1 - left) / x with left = left_of(x): the part of a step that a steady gain misses of its fading."""
+    return left * x * (0.5 + x * (1.0 / 3.0 + x / 6.0))
+
+
+@njit(cache=True, fastmath=FAST)
+def trust(viscous, fading, damping):
+    """Part of a lag to be taken: less in steps that are long against the fading, most of all by viscosity (nu dt / h^2).
+
+    There the gain of the last step no longer tells that of this one, and energy would grow. With drag (``damping`` = A dt / (rho
+    phi + A dt)) steps may be longer.
     """
-    x = rate * dt
-    lag = dt - lost / rate if x > 1e-6 else 0.5 * x * dt
-    return lag / (1.0 + (nu * dt / (h * h)) ** 4 + (fading * dt / (CUT + (16.0 - CUT) * damping)) ** 4)
+    convective = fading / (CUT + (16.0 - CUT) * damping)
+    viscous, convective = viscous * viscous, convective * convective
+    return 1.0 / (1.0 + viscous * viscous + convective * convective)
 
 
 @by_dimension
-def mass_and_misfit(dofs, weight, q, u, h, nu, dt, damping, gain, nodal_gain, fades, mass, misfit, part, feed, theta):
-    """Nodal sums of the cell masses, of mass times (q - mean u) as in a least-squares fit, and of mass times the part of the
-    misfit that is taken over in a step; ``feed`` gets what is taken over of the misfit that comes about during the step: what
-    drag and pressure add (gain - mean nodal gain) less what ``fades``, as of the last step. ``theta`` gets the part of what the
-    nodes do not carry that is left after the step."""
+def mass_and_misfit(dofs, weight, q, u, h, nu, dt, damping, gain, nodal_gain, fades, upwind, sums, theta, lag):
+    """What relaxation needs at the nodes, in ``sums`` (nodes, 2 + 2 d), and what is left of what the nodes do not carry.
+
+    The sums are those of the cell masses; of mass times the part of the misfit that is taken over in a step; of mass times the
+    misfit q - mean u, as in a least-squares fit (with ``upwind`` of mass times q alone); and of what is taken over of the misfit
+    that comes about during the step: what drag and pressure add (gain - mean nodal gain) less what ``fades``, as of the last step.
+    ``theta`` gets the part of what the nodes do not carry that is left after the step, ``lag`` the time of the step in which what
+    drag and pressure add does not fade, as it acts at the end.
+    """
     n = len(dofs)
     share = 1.0 / M
+    misfit, feed = np.empty(D), np.empty(D)
     for c in range(n):
         speed = 0.0
         for k in range(D):
             speed += q[c, k] * q[c, k]
-        fading = fading_rate(speed, h[c], nu)
-        theta[c] = np.exp(-dt * fading)
-        relax = relaxation_rate(speed, h[c], nu)
-        taken = -np.expm1(-dt * relax)
-        lag = lag_of(taken, relax, dt, fading, h[c], nu, damping[c])
-        for i in range(M):
-            mass[dofs[c, i]] += share * weight[c]
-            part[dofs[c, i]] += share * weight[c] * taken
+        fading, relax = dt * fading_rate(speed, h[c], nu), dt * relaxation_rate(speed, h[c], nu)
+        theta[c], kept = left_of(fading), left_of(relax)
+        mass, step = share * weight[c], dt * trust(nu * dt / (h[c] * h[c]), fading, damping[c])
+        lag[c] = step * lag_of(theta[c], fading)
+        taken, given = mass * (1.0 - kept), mass * step * lag_of(kept, relax)
         for k in range(D):
             mean, rise = 0.0, 0.0
             for i in range(M):
                 mean += u[dofs[c, i], k]
                 rise += nodal_gain[dofs[c, i], k]
-            misfit_k = share * weight[c] * (q[c, k] - share * mean)
-            feed_k = share * weight[c] * lag * (gain[c, k] - share * rise - fades[c, k])
-            for i in range(M):
-                misfit[dofs[c, i], k] += misfit_k
-                feed[dofs[c, i], k] += feed_k
+            misfit[k] = mass * (q[c, k] - (0.0 if upwind else share * mean))
+            feed[k] = 0.0 if upwind else given * (gain[c, k] - share * rise - fades[c, k])
+        for i in range(M):
+            node = dofs[c, i]
+            sums[node, 0] += mass
+            sums[node, 1] += taken
+            for k in range(D):
+                sums[node, 2 + k] += misfit[k]
+                sums[node, 2 + D + k] += feed[k]
 
 
 @by_dimension
@@ -85,47 +103,56 @@ def scatter(dofs, total, out):
 
 
 @by_dimension
-def transport_matrix(dofs, grad, volume, density, stress, dt, phi1, rate, flux, open_node, thetas, u, values, rhs):
-    """Element matrices of lumped mass, skew-symmetric convection and viscosity; one theta step of both, theta by cell.
+def transport_matrix(dofs, place, grad, volume, density, stress, dt, phi1, rate, flux, open_node, thetas, upwind, u, values, rhs):
+    """Add lumped mass, skew-symmetric convection and viscosity to ``values``; one theta step of the latter two, theta by cell.
 
     ``stress`` is the cell's share of the stress times the viscosity. The void fraction's rate enters as the divergence that the
     flux really has (equal to it up to the solver's tolerance), so that momentum is kept to round-off; nodes of outlets, where
-    continuity is not imposed, take the rate itself. What acts on the old velocity u goes to ``rhs``.
+    continuity is not imposed, take the rate itself. What acts on the old velocity u goes to ``rhs``. With ``upwind``, what
+    couples two nodes with the wrong sign goes to the diagonal: no node is repelled by another.
     """
     n = len(dofs)
     share = 1.0 / M
     parts = u.shape[1]
-    out, row, old = np.empty(M), np.empty(M), np.empty((M, parts))
+    out, diagonal, old, total = np.empty(M), np.empty(M), np.empty((M, parts)), np.empty((M, parts))
     for c in range(n):
         vol, theta = volume[c], thetas[c]
-        for i in range(M):
-            out[i] = 0.0
-            for k in range(D):
-                out[i] += grad[c, i, k] * flux[c, k]
-            for k in range(parts):
-                old[i, k] = u[dofs[c, i], k]
-            out[i] *= 0.5 * share * vol
         inertia, change = share * vol * density * phi1[c] / dt, 0.5 * share * vol * density * rate[c]
         for i in range(M):
-            for j in range(M):
+            out[i], diagonal[i] = 0.0, inertia
+            for k in range(D):
+                out[i] += grad[c, i, k] * flux[c, k]
+            out[i] *= 0.5 * share * vol
+            side = change if open_node[dofs[c, i]] else M * out[i]
+            diagonal[i] -= theta * side
+            for k in range(parts):
+                old[i, k] = u[dofs[c, i], k]
+                total[i, k] = -(side + M * out[i]) * old[i, k]  # the sum of the row times u
+        for i in range(M):
+            for j in range(i):
                 g = 0.0
                 for k in range(D):
                     g += grad[c, i, k] * grad[c, j, k]
-                value = out[j] - out[i] + stress[c] * vol * g
-                if i == j:
-                    value -= change if open_node[dofs[c, i]] else M * out[i]
-                row[j] = value
-                values[c, i, j] = theta * value
+                g *= stress[c] * vol
+                skew, excess = out[j] - out[i], 0.0
+                if upwind:
+                    excess = max(theta * (abs(skew) + g), 0.0)
+                values[place[c, i, j]] += theta * (g + skew) - excess
+                values[place[c, j, i]] += theta * (g - skew) - excess
+                diagonal[i] -= theta * g - excess
+                diagonal[j] -= theta * g - excess
+                for k in range(parts):
+                    rise = old[j, k] - old[i, k]
+                    total[i, k] += (g + skew) * rise
+                    total[j, k] -= (g - skew) * rise
+        for i in range(M):
+            values[place[c, i, i]] += diagonal[i]
             for k in range(parts):
-                total = 0.0
-                for j in range(M):
-                    total += row[j] * old[j, k]
-                rhs[dofs[c, i], k] -= (1.0 - theta) * total
-            values[c, i, i] += inertia
+                rhs[dofs[c, i], k] -= (1.0 - theta) * total[i, k]
 
 
 @njit(cache=True, fastmath=FAST)
-def open_boundary(cell, local, area_normal, flux, values):
+def open_boundary(place, cell, local, area_normal, flux, values):
     """Half the outgoing mass flux on open facets, lumped; the flux that comes in brings no energy (backflow-safe)."""
     d = flux.shape[1]
     for f in range(len(cell)):
@@ -134,68 +161,38 @@ def open_boundary(cell, local, area_normal, flux, values):
             out += area_normal[f, k] * flux[c, k]
         out *= 0.5
         if out > 0:
-            for i in range(values.shape[1]):
+            for i in range(place.shape[1]):
                 if i != local[f]:
-                    values[c, i, i] += out / d
+                    values[place[c, i, i]] += out / d
 
 
 @by_dimension
-def apply_elements(dofs, values, u, out):
-    """Subtract the element matrices times u from ``out``."""
-    n = len(dofs)
-    for c in range(n):
-        for i in range(M):
-            for k in range(u.shape[1]):
-                total = 0.0
-                for j in range(M):
-                    total += values[c, i, j] * u[dofs[c, j], k]
-                out[dofs[c, i], k] -= total
-
-
-@by_dimension
-def fix_rows(dofs, at, fixed, values, kept, lift, boundary):
-    """Replace rows and columns of fixed nodes by a diagonal in the element matrices of the cells ``at``, which go to ``kept``
-    as they were; what columns carried goes to ``lift``."""
-    for n in range(len(at)):
-        c = at[n]
+def add_elements(dofs, place, elements, values):
+    """Add element matrices to ``values``."""
+    for c in range(len(dofs)):
         for i in range(M):
             for j in range(M):
-                kept[n, i, j] = values[c, i, j]
-        for i in range(M):
-            if fixed[dofs[c, i]]:
-                for j in range(M):
-                    if j != i:
-                        if not fixed[dofs[c, j]]:
-                            for k in range(boundary.shape[1]):
-                                lift[dofs[c, j], k] -= values[c, j, i] * boundary[dofs[c, i], k]
-                        values[c, i, j] = 0.0
-                        values[c, j, i] = 0.0
-                values[c, i, i] = abs(values[c, i, i]) + 1e-300
+                values[place[c, i, j]] += elements[c, i, j]
 
 
 @by_dimension
-def memory(dofs, mass0, mass1, q, u, h, dt, nu, theta, damping, gain, nodal_gain, fades, kept, defect):
+def memory(dofs, mass0, mass1, q, u, dt, theta, lag, gain, nodal_gain, fades, kept, defect):
     """What the nodes do not carry, r = q - mean u, fades at a rate k; ``defect`` gets the momentum that lost, per node, ``fades``
     the change per time.
 
     Drag and pressure feed r with a = gain - mean nodal gain, as of the last step. They act after the fading, over a whole step;
-    what fades of that meanwhile, (dt - (1 - exp(-k dt)) / k) a, is taken off beforehand. So r = a / k in a steady state.
+    what fades of that meanwhile, lag times a, is taken off beforehand. So r = a / k in a steady state.
     """
     n = len(dofs)
     share = 1.0 / M
     for c in range(n):
-        speed = 0.0
-        for k in range(D):
-            speed += q[c, k] * q[c, k]
-        rate = fading_rate(speed, h[c], nu)
-        lag = lag_of(1.0 - theta[c], rate, dt, rate, h[c], nu, damping[c])
         for k in range(D):
             mean, rise = 0.0, 0.0
             for i in range(M):
                 mean += u[dofs[c, i], k]
                 rise += nodal_gain[dofs[c, i], k]
             r = q[c, k] - share * mean
-            kept[c, k] = theta[c] * r - lag * (gain[c, k] - share * rise)
+            kept[c, k] = theta[c] * r - lag[c] * (gain[c, k] - share * rise)
             fades[c, k] = (r - kept[c, k]) / dt
             part = share * (mass1[c] * kept[c, k] - mass0[c] * r)
             for i in range(M):
@@ -231,15 +228,17 @@ def exchange_system(dofs, grad, volume, density, dt, phi, part, supply, drag, so
 
 
 @by_dimension
-def poisson_matrix(dofs, grad, weight, values):
-    """Element matrices of (weight grad p, grad w); ``weight`` holds the cell's volume."""
+def poisson_matrix(dofs, place, grad, weight, values):
+    """Add (weight grad p, grad w) to ``values``; ``weight`` holds the cell's volume."""
     for c in range(len(dofs)):
         for i in range(M):
-            for j in range(M):
+            for j in range(i + 1):
                 g = 0.0
                 for k in range(D):
                     g += grad[c, i, k] * grad[c, j, k]
-                values[c, i, j] = weight[c] * g
+                values[place[c, i, j]] += weight[c] * g
+                if i != j:
+                    values[place[c, j, i]] += weight[c] * g
 
 
 @by_dimension

@@ -1,4 +1,4 @@
-"""PETSc matrices filled from element matrices, and Krylov solvers that reuse their preconditioner while it is good."""
+"""PETSc matrices filled cell by cell, and Krylov solvers that reuse their preconditioner while it is good."""
 import ctypes
 
 import numpy as np
@@ -22,8 +22,17 @@ FALLBACKS = (("fgmres", "hypre"), ("fgmres", "asm"), ("preonly", "lu"))
 TRUCE = 50  # solves in which a method that has failed is not tried again
 
 
-class ElementMatrix:
-    """Square sparse matrix that is the sum of element matrices (cells, m, m) on the nodes of a P1 space."""
+class NodalMatrix:
+    """Square sparse matrix on the nodes of a P1 space, with an entry for each pair of nodes of a cell.
+
+    This rank's part of the sum over cells is built in plain arrays, row by row; :meth:`assemble` hands it to PETSc.
+
+    Attributes:
+        matrix: PETSc matrix.
+        values: (entries,) sums over the cells of this rank.
+        place: (cells, m, m) entry of each pair of nodes of a cell.
+        starts, columns: rows of the entries, and the nodes they belong to.
+    """
 
     def __init__(self, space, dofs):
         PETSc.garbage_cleanup(space.mesh.comm)  # PETSc keeps what Python has dropped until all ranks ask for it
@@ -31,27 +40,39 @@ class ElementMatrix:
         self.matrix = PETSc.Mat().create(space.mesh.comm)
         self.matrix.setSizes(((index_map.size_local, None), (index_map.size_local, None)))
         self.matrix.setType("aij")
-        number = index_map.local_to_global(dofs.ravel().astype(np.int32)).astype(PETSc.IntType).reshape(dofs.shape)
-        m = dofs.shape[1]
-        rows, columns = np.repeat(number, m, 1).ravel(), np.tile(number, (1, m)).ravel()
-        self.values = np.zeros((len(dofs), m, m))
+        m, nodes = dofs.shape[1], index_map.size_local + index_map.num_ghosts
+        pairs = np.repeat(dofs, m, 1).ravel().astype(np.int64) * nodes + np.tile(dofs, (1, m)).ravel()
+        pairs, place = np.unique(pairs, return_inverse=True)
+        self.place, self.values = place.reshape(-1, m, m).astype(np.uint32), np.zeros(len(pairs))
+        row, column = pairs // max(nodes, 1), pairs % max(nodes, 1)
+        self.starts, self.columns = np.searchsorted(row, np.arange(nodes + 1)), column.astype(np.uint32)
+        rows, columns = (index_map.local_to_global(i.astype(np.int32)).astype(PETSc.IntType) for i in (row, column))
         self._check(_petsc.MatSetPreallocationCOO(self.matrix.handle, rows.size, rows.ctypes.data, columns.ctypes.data))
-        self.dofs, self._nodes, self._diagonal = dofs, None, self.matrix.createVecRight()
+        self.dofs, self._row, self._nodes, self._diagonal = dofs, row, None, self.matrix.createVecRight()
+
+    def add(self, elements):
+        """Add element matrices (cells, m, m)."""
+        kernels.add_elements(self.dofs, self.place, elements, self.values)
 
     def fix(self, nodes, lift, boundary):
         """Replace rows and columns of fixed nodes (a mask) by a diagonal; what columns carried of ``boundary`` goes to ``lift``."""
         if self._nodes is not nodes:
-            self._nodes, self._at = nodes, np.flatnonzero(nodes[self.dofs].any(1)).astype(np.uint32)
-            self._kept = np.empty((len(self._at), *self.values.shape[1:]))
-        kernels.fix_rows(self.dofs, self._at, nodes, self.values, self._kept, lift, boundary)
+            at = np.flatnonzero(nodes[self._row] | nodes[self.columns])
+            self._nodes, self._at, self._kept = nodes, at.astype(np.uint32), np.empty(len(at))
+            self._at_row, self._at_column = self._row[at].astype(np.uint32), self.columns[at]
+        node_kernels.fix_rows(self._at, self._at_row, self._at_column, nodes, self.values, self._kept, lift, boundary)
 
     def release(self):
-        """The element matrices as they were before :meth:`fix`."""
+        """The entries as they were before :meth:`fix`."""
         self.values[self._at] = self._kept
 
     def assemble(self):
-        """Sum ``values`` into the matrix."""
+        """Sum ``values`` of all ranks into the matrix."""
         self._check(_petsc.MatSetValuesCOO(self.matrix.handle, self.values.ctypes.data, int(PETSc.InsertMode.INSERT_VALUES)))
+
+    def subtract_product(self, u, out):
+        """Subtract this rank's part times u (nodes, parts) from ``out``."""
+        node_kernels.subtract_product(self.starts, self.columns, self.values, u, out)
 
     def diagonal(self):
         """Diagonal entries (owned nodes,) of the matrix; the same memory each time."""

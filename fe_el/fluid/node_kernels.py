@@ -6,12 +6,16 @@ from fe_el.fluid.for_each_dimension import FAST
 
 
 @njit(cache=True, fastmath=FAST)
-def relaxed(start, part, misfit, feed, mass, whole, out):
-    """Nodal velocity that has taken over its part of the misfit (all of it if ``whole``), and what fed it."""
+def relaxed(start, sums, upwind, whole, mass, out):
+    """Nodal velocity that has taken over its part of the misfit (all of it if ``whole``), and what fed it, from the ``sums`` of
+    :func:`kernels.mass_and_misfit`; ``mass`` gets the nodal mass."""
+    parts = start.shape[1]
     for i in range(len(start)):
-        share = 1.0 if whole else part[i] / mass[i]
-        for k in range(start.shape[1]):
-            out[i, k] = start[i, k] + (share * misfit[i, k] + feed[i, k]) / mass[i]
+        mass[i] = sums[i, 0]
+        share = 1.0 if whole else sums[i, 1] / mass[i]
+        for k in range(parts):
+            misfit = sums[i, 2 + k] / mass[i] - (start[i, k] if upwind else 0.0)
+            out[i, k] = start[i, k] + share * misfit + sums[i, 2 + parts + k] / mass[i]
 
 
 @njit(cache=True, fastmath=FAST)
@@ -98,6 +102,42 @@ def fix_entries(held, diagonal, values, rhs):
     for i in held:
         if i < len(diagonal):
             rhs[i] = diagonal[i] * values[i]
+
+
+@njit(cache=True)
+def fix_rows(at, row, column, fixed, values, kept, lift, boundary):
+    """Replace rows and columns of fixed nodes by a diagonal in the entries ``at``, which go to ``kept`` as they were; what columns
+    carried goes to ``lift``."""
+    for n in range(len(at)):
+        i, j, value = row[n], column[n], values[at[n]]
+        kept[n] = value
+        if not fixed[i]:
+            for k in range(boundary.shape[1]):
+                lift[i, k] -= value * boundary[j, k]
+        values[at[n]] = abs(value) + 1e-300 if i == j else 0.0
+
+
+@njit(cache=True, fastmath=FAST)
+def subtract_product(starts, columns, values, u, out):
+    """Subtract a matrix, given by rows, times u (nodes, parts) from ``out``."""
+    if u.shape[1] == 3:
+        for i in range(len(out)):
+            a, b, c = 0.0, 0.0, 0.0
+            for n in range(starts[i], starts[i + 1]):
+                j, value = columns[n], values[n]
+                a += value * u[j, 0]
+                b += value * u[j, 1]
+                c += value * u[j, 2]
+            out[i, 0] -= a
+            out[i, 1] -= b
+            out[i, 2] -= c
+        return
+    for i in range(len(out)):
+        for k in range(u.shape[1]):
+            total = 0.0
+            for n in range(starts[i], starts[i + 1]):
+                total += values[n] * u[columns[n], k]
+            out[i, k] -= total
 
 
 @njit(cache=True)

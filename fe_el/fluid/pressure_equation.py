@@ -2,7 +2,7 @@
 import numpy as np
 
 from fe_el.fluid import kernels, node_kernels
-from fe_el.fluid.linear_solver import ElementMatrix, LinearSolver
+from fe_el.fluid.linear_solver import LinearSolver, NodalMatrix
 from fe_el.messages import largest
 
 
@@ -20,8 +20,8 @@ class PressureEquation:
         self.fluid, self.held = fluid, np.flatnonzero(fluid.fixed_pressure)
         self._weight, self._values = np.full(fluid.num_cells, np.nan), np.full(fluid.nodes, np.nan)  # equal to none
         self._boundary, self._lift = np.zeros((fluid.nodes, 1)), np.zeros((fluid.nodes, 1))
-        self.elements = ElementMatrix(fluid.space, fluid.dofs)
-        self.solver = LinearSolver(self.elements.matrix, "pressure", "cg", "gamg", fluid.tolerance, not fluid.outlets)
+        self.entries = NodalMatrix(fluid.space, fluid.dofs)
+        self.solver = LinearSolver(self.entries.matrix, "pressure", "cg", "gamg", fluid.tolerance, not fluid.outlets)
 
     def solve(self, weight, rhs):
         """New pressure of the fluid, in place.
@@ -58,8 +58,9 @@ class PressureEquation:
             return
         self._weight[:], self._values[:] = weight, values
         self._lift.fill(0.0)
-        kernels.poisson_matrix(air.dofs, air.gradient, weight, self.elements.values)
-        self.elements.fix(air.fixed_pressure, self._lift, self._boundary)
-        self.elements.assemble()
+        self.entries.values.fill(0.0)
+        kernels.poisson_matrix(air.dofs, self.entries.place, air.gradient, weight, self.entries.values)
+        self.entries.fix(air.fixed_pressure, self._lift, self._boundary)
+        self.entries.assemble()
         self.solver.new_values()
-        self._diagonal = self.elements.diagonal()
+        self._diagonal = self.entries.diagonal()

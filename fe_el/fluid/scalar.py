@@ -6,7 +6,7 @@ from dolfinx import fem
 
 from fe_el.checks import require_positive
 from fe_el.fluid import kernels, node_kernels
-from fe_el.fluid.linear_solver import ElementMatrix, LinearSolver
+from fe_el.fluid.linear_solver import LinearSolver, NodalMatrix
 from fe_el.fluid.work_arrays import WorkArrays
 
 
@@ -42,7 +42,7 @@ class Scalar:
         self.value = fem.Function(fluid.space, name=name)
         self.value.x.array[:] = initial(fluid.node_position) if callable(initial) else initial
         self.source, self.fixed, self.seconds = None, [], {name: 0.0}
-        self.matrix = ElementMatrix(fluid.space, fluid.dofs)
+        self.matrix = NodalMatrix(fluid.space, fluid.dofs)
         self.solver = LinearSolver(self.matrix.matrix, name, "bcgs", "jacobi", tolerance)
         self.name, self.work, self._held = name, WorkArrays(), None
 
@@ -58,7 +58,8 @@ class Scalar:
             SolverDiverged: if the solver fails.
         """
         tick = time.perf_counter()
-        air, work, values = self.fluid, self.work, self.matrix.values
+        air, work, place, values = self.fluid, self.work, self.matrix.place, self.matrix.values
+        values.fill(0.0)
         old, rhs = work.empty("old", air.nodes, 1), work.zeros("rhs", air.nodes, 1)
         old[:, 0] = self.value.x.array
         phi0, phi1 = air.void_fractions
@@ -67,12 +68,10 @@ class Scalar:
             share, middle = np.add(phi0, phi1, out=work.empty("share", air.num_cells)), air.time - 0.5 * dt
             share *= 0.5
         stress = np.multiply(share, air.density * self.diffusivity, out=work.empty("stress", air.num_cells))
-        kernels.transport_matrix(air.dofs, air.gradient, air.volume, air.density, stress, dt, phi1, air.rate, air.step_flux,
-                                 air.fixed_pressure, air.theta_of(self.diffusivity, dt), old, values, rhs)
-        if air.upwind:
-            air.stabilisation(air, share, air.step_flux, old, values, rhs)
+        kernels.transport_matrix(air.dofs, place, air.gradient, air.volume, air.density, stress, dt, phi1, air.rate, air.step_flux,
+                                 air.fixed_pressure, air.theta_of(self.diffusivity, dt), air.upwind, old, values, rhs)
         for facets, _ in air.outlets:
-            kernels.open_boundary(facets.cell, facets.local, facets.area_normal, air.step_flux, values)
+            kernels.open_boundary(place, facets.cell, facets.local, facets.area_normal, air.step_flux, values)
         mass0, mass1 = work.zeros("mass0", air.nodes, 1), work.zeros("mass1", air.nodes, 1)
         kernels.scatter(air.dofs, air.cell_mass0[:, None], mass0)
         kernels.scatter(air.dofs, air.cell_mass[:, None], mass1)
@@ -84,7 +83,7 @@ class Scalar:
         self.seconds[self.name] += time.perf_counter() - tick
 
     def _solve(self, dt, rhs, mass0, mass1, old):
-        air, own, values, work = self.fluid, self.fluid.owned_nodes, self.matrix.values, self.work
+        air, own, work = self.fluid, self.fluid.owned_nodes, self.work
         if self._held is None:
             mark = np.zeros(air.nodes, bool)
             for facets, _ in self.fixed:
@@ -105,7 +104,7 @@ class Scalar:
         new[:own, 0] = self.solver.solve(system[0], guess[0])
         air.node_halo.forward(new)
         balance = work.zeros("balance", air.nodes, 1)
-        kernels.apply_elements(air.dofs, values, new, balance)
+        self.matrix.subtract_product(new, balance)
         air.complete(balance)
         node_kernels.close_transport(mass1[:, 0], load, balance, self._unmoved, dt, self._held, new, work.empty("none", air.nodes, 1))
         self.value.x.array[:] = new[:, 0]

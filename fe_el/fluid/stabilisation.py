@@ -34,7 +34,7 @@ def _weights(flux, density, share, h, viscosity, factor, weight):
 
 
 @by_dimension
-def _streamline(dofs, grad, volume, flux, weight, mean, node_volume, values, rhs):
+def _streamline(dofs, place, grad, volume, flux, weight, mean, node_volume, values, rhs):
     """Add weight (M . grad u - mean / node volume, M . grad w); the nodal mean of the last step goes to ``rhs``."""
     slope = np.empty(M)
     for c in range(len(dofs)):
@@ -44,27 +44,13 @@ def _streamline(dofs, grad, volume, flux, weight, mean, node_volume, values, rhs
                 slope[i] += grad[c, i, j] * flux[c, j]
         for i in range(M):
             for j in range(M):
-                values[c, i, j] += weight[c] * volume[c] * slope[i] * slope[j]
+                values[place[c, i, j]] += weight[c] * volume[c] * slope[i] * slope[j]
         for k in range(D):
             average = 0.0
             for j in range(M):
                 average += mean[dofs[c, j], k] / node_volume[dofs[c, j], 0]
             for i in range(M):
                 rhs[dofs[c, i], k] += weight[c] * volume[c] * slope[i] * average / M
-
-
-@njit(cache=True)
-def _upwind(values):
-    """Move what couples two nodes with the wrong sign to the diagonal: no node is repelled by another."""
-    n, m = values.shape[0], values.shape[1]
-    for c in range(n):
-        for i in range(m):
-            for j in range(i):
-                excess = max(values[c, i, j], values[c, j, i], 0.0)
-                values[c, i, j] -= excess
-                values[c, j, i] -= excess
-                values[c, i, i] += excess
-                values[c, j, j] += excess
 
 
 class Streamline:
@@ -86,14 +72,14 @@ class Streamline:
         require_positive("factor of Streamline", factor)
         self.factor = float(factor)
 
-    def __call__(self, air, share, flux, u, values, rhs):
-        """Add the terms to the element matrices and to the nodal right-hand side; collective."""
+    def __call__(self, air, share, flux, u, matrix, rhs):
+        """Add the terms to the entries of a NodalMatrix and to the nodal right-hand side; collective."""
         mean = air.work.zeros("mean_convection", air.nodes, air.dimension)
         _convection(air.dofs, air.gradient, air.volume, flux, u, mean)
         air.complete(mean)
         weight = air.work.empty("streamline", air.num_cells)
         _weights(flux, air.density, share, air.h, air.viscosity, self.factor, weight)
-        _streamline(air.dofs, air.gradient, air.volume, flux, weight, mean, air.node_volume, values, rhs)
+        _streamline(air.dofs, matrix.place, air.gradient, air.volume, flux, weight, mean, air.node_volume, matrix.values, rhs)
 
 
 class Upwind:
@@ -105,7 +91,3 @@ class Upwind:
     """
 
     upwind = True
-
-    def __call__(self, air, share, flux, u, values, rhs):
-        """Change the element matrices in place."""
-        _upwind(values)

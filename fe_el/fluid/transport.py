@@ -43,33 +43,24 @@ class Transport:
     def _relax(self, dt, q):
         """Stage 1: u <- u + a P(q - mean u) moves the nodes towards the least-squares fit of the cells.
 
-        a = 1 - exp(-dt k) with a rate k of convection, and of viscosity but little: a rate, not a part per step, so that the
-        scheme converges with the step.
+        a is nearly 1 - exp(-dt k) with a rate k of convection, and of viscosity but little: a rate, not a part per step, so that the
+        scheme converges with the step. With upwinding it is the plain mean of the cells, which stays in their range.
         """
         d, work = self.dimension, self.work
-        self.mass0, part = work.zeros("mass0", self.nodes), work.zeros("part", self.nodes)
-        misfit, feed = work.zeros("misfit", self.nodes, d), work.zeros("feed", self.nodes, d)
         start = work.zeros("start", self.nodes, d) if self.nodal_velocity is None else self.nodal_velocity
+        sums, u, self.mass0 = work.zeros("sums", self.nodes, 2 + 2 * d), work.empty("relaxed", self.nodes, d), work.empty("mass0", self.nodes)
         kernels.mass_and_misfit(self.dofs, self.cell_mass0, q, start, self.h, self.viscosity / self.density, dt, self.damping, self.gain,
-                                self.nodal_gain, self.fades, self.mass0, misfit, part, feed, self.theta)
-        if self.upwind:  # towards the plain mean of the cells, which stays in their range
-            misfit.fill(0.0)
-            feed.fill(0.0)
-            kernels.scatter(self.dofs, np.multiply(self.cell_mass0[:, None], q, out=work.empty("cells", *q.shape)), misfit)
-            self.complete(self.mass0, misfit, part)
-            misfit -= np.multiply(self.mass0[:, None], start, out=work.empty("nodes", self.nodes, d))
-        else:
-            self.complete(self.mass0, misfit, part, feed)
-        u = work.empty("relaxed", self.nodes, d)
-        node_kernels.relaxed(start, part, misfit, feed, self.mass0, self.nodal_velocity is None, u)
+                                self.nodal_gain, self.fades, self.upwind, sums, self.theta, self.lag)
+        self.complete(sums)
+        node_kernels.relaxed(start, sums, self.upwind, self.nodal_velocity is None, self.mass0, u)
         self.impose(u)
         return u
 
     def _fade(self, dt, q, u):
         """What the nodes cannot represent fades at the rate of convection and viscosity; nodal sums of the momentum it lost."""
         kept, defect = self.work.empty("kept", *q.shape), self.work.zeros("defect", self.nodes, self.dimension)
-        kernels.memory(self.dofs, self.cell_mass0, self.cell_mass, q, u, self.h, dt, self.viscosity / self.density, self.theta,
-                       self.damping, self.gain, self.nodal_gain, self.fades, kept, defect)
+        kernels.memory(self.dofs, self.cell_mass0, self.cell_mass, q, u, dt, self.theta, self.lag, self.gain, self.nodal_gain,
+                       self.fades, kept, defect)
         return kept, defect
 
     def _stress(self, phi0, phi, u):
@@ -86,15 +77,16 @@ class Transport:
 
     def _transport_step(self, dt, phi0, phi, flux, u, defect):
         """Stage 2: convection and viscosity of the nodal velocity, implicit, skew-symmetric, conserving momentum."""
-        d, values, work, own = self.dimension, self._transport.values, self.work, self.owned_nodes
+        d, work, own, place, values = self.dimension, self.work, self.owned_nodes, self._transport.place, self._transport.values
         share, stress = self._stress(phi0, phi, u)
         explicit, lift = work.zeros("explicit", self.nodes, d), work.zeros("lift", self.nodes, d)
-        kernels.transport_matrix(self.dofs, self.gradient, self.volume, self.density, stress, dt, phi, self.rate, flux,
-                                 self.fixed_pressure, self.theta_of(self.viscosity / self.density, dt), u, values, explicit)
-        if self.stabilisation is not None:
-            self.stabilisation(self, share, flux, u, values, explicit)
+        values.fill(0.0)
+        kernels.transport_matrix(self.dofs, place, self.gradient, self.volume, self.density, stress, dt, phi, self.rate, flux,
+                                 self.fixed_pressure, self.theta_of(self.viscosity / self.density, dt), self.upwind, u, values, explicit)
+        if self.stabilisation is not None and not self.upwind:
+            self.stabilisation(self, share, flux, u, self._transport, explicit)
         for facets, _ in self.outlets:
-            kernels.open_boundary(facets.cell, facets.local, facets.area_normal, flux, values)
+            kernels.open_boundary(place, facets.cell, facets.local, facets.area_normal, flux, values)
         self._transport.fix(self.fixed, lift, self.boundary_velocity)
         self.complete(explicit, lift)
         explicit += self.slip_force  # of the last step: transport does not know what keeps the flow along slip walls
@@ -119,7 +111,7 @@ class Transport:
         d, work = self.dimension, self.work
         self.mass, balance = work.zeros("mass", self.nodes), work.zeros("balance", self.nodes, d)
         kernels.scatter(self.dofs, self.cell_mass[:, None], self.mass[:, None])
-        kernels.apply_elements(self.dofs, self._transport.values, new, balance)
+        self._transport.subtract_product(new, balance)
         self.complete(self.mass, balance, defect)
         self._correction = work.empty("correction", self.nodes, d)
         node_kernels.close_transport(self.mass, rhs, balance, defect, dt, self.held, new, self._correction)

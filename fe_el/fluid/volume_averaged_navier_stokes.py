@@ -9,7 +9,7 @@ from fe_el.fluid import kernels, node_kernels
 from fe_el.fluid.boundary_conditions import Boundaries, velocity_at
 from fe_el.fluid.cells_and_nodes import CellsAndNodes
 from fe_el.fluid.continuity import Ledger
-from fe_el.fluid.linear_solver import ElementMatrix, LinearSolver
+from fe_el.fluid.linear_solver import LinearSolver, NodalMatrix
 from fe_el.fluid.pressure_equation import PressureEquation
 from fe_el.fluid.transport import Transport
 
@@ -68,7 +68,7 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         self.velocity = fem.Function(fem.VectorFunctionSpace(mesh, ("DG", 0)), name="velocity")
         self.pressure = fem.Function(self.space, name="pressure")
         self.cell_halo = Halo.of_index_map(mesh.comm, self.velocity.function_space.dofmap.index_map)
-        self.theta = np.empty(n)
+        self.theta, self.lag = np.empty(n), np.empty(n)
         for name, value in self.memory_at_rest().items():
             setattr(self, name, value)
         self.time, self.step, self.seconds = 0.0, 0, {"fluid": 0.0}
@@ -99,7 +99,7 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
     def _setup(self):
         """Matrices, solvers and fixed nodes, once the boundary conditions are known."""
         self.ready = True
-        self._transport = ElementMatrix(self.space, self.dofs)
+        self._transport = NodalMatrix(self.space, self.dofs)
         closed = not self.outlets
         self.transport_solver = LinearSolver(self._transport.matrix, "transport", "bcgs", "jacobi", self.tolerance)
         self.fixed, self.fixed_pressure = np.zeros(self.nodes, bool), np.zeros(self.nodes, bool)
