@@ -7,6 +7,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 import fe_el
+from fe_el.fluid.linear_solver import NodalMatrix
 
 
 @pytest.mark.ranks
@@ -116,3 +117,36 @@ def test_a_step_asks_the_system_for_no_arrays(scene):
         asked.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert min(asked) > 0 and max(asked[4:]) < 0.2 * y.nbytes
+
+
+@pytest.mark.ranks
+def test_a_nodal_matrix_is_the_sum_of_its_elements_with_and_without_fixed_nodes():
+    """Products of PETSc's matrix and of the rows of each rank against the elements; fixed nodes split off what they carry."""
+    mesh, _ = fe_el.box((1.0, 1.0, 1.0), (3, 3, 3))
+    air = fe_el.VolumeAveragedNavierStokes(mesh)
+    matrix, rng, own = NodalMatrix(air.space, air.dofs), np.random.default_rng(mesh.comm.rank), air.owned_nodes
+    elements = rng.normal(size=(air.num_cells, 4, 4))
+    elements[:, range(4), range(4)] += 5.0
+    matrix.add(elements)
+    for parts in (1, 2, 3):
+        u = np.sin(air.node_position[:, :parts] * 7 + 1)
+        by_elements, by_rows = np.zeros_like(u), np.zeros_like(u)
+        np.add.at(by_elements, air.dofs, np.einsum("cij,cjk->cik", elements, u[air.dofs]))
+        matrix.subtract_product(u, by_rows)
+        assert np.allclose(by_rows, -by_elements, atol=1e-12)
+    air.complete(by_elements)
+    fixed = air.node_position[:, 0] < 1e-9
+    lift, x, y = np.zeros((air.nodes, 3)), *matrix.matrix.createVecs()
+    for hold in (False, True, False):
+        if hold:
+            matrix.fix(fixed, lift, u)
+            air.complete(lift)
+        matrix.assemble()
+        x.array[:] = u[:own, 0]
+        matrix.matrix.mult(x, y)
+        expected, free = by_elements[:own, 0] + hold * lift[:own, 0], ~fixed[:own]
+        assert np.allclose(y.array[free], expected[free], atol=1e-12)
+        if hold:
+            assert np.allclose(y.array[~free], matrix.diagonal()[~free] * u[:own, 0][~free], atol=1e-12)
+            assert (matrix.diagonal()[~free] > 0).all()
+            matrix.release()
