@@ -74,7 +74,7 @@ def set_contacts(c, state):
 
 
 FLUID_CELLS = ("gain", "fades", "rate", "void_fraction", "_last_flux")
-FLUID_NODES = ("nodal_velocity", "force", "nodal_gain", "slip_force", "last_pressure", "last_force", "last_change")
+FLUID_NODES = ("nodal_velocity", "force", "nodal_gain", "slip_force", "past_pressures", "last_force", "last_change")
 
 
 def fluid_state(air):
@@ -84,7 +84,8 @@ def fluid_state(air):
     nodes = {k: getattr(air, k)[:own] for k in FLUID_NODES if getattr(air, k) is not None}
     cells["velocity"], nodes["pressure"] = air.velocity.x.array.reshape(-1, d)[:n], air.pressure.x.array[:own]
     return {"cells": (air.corner.mean(1), cells), "nodes": (air.node_position[:own], nodes),
-            "same": (None, {"time": air.time, "step": air.step, "dt": getattr(air, "dt", 0.0), "to_close": air._to_close})}
+            "same": (None, {"time": air.time, "step": air.step, "dt": getattr(air, "dt", 0.0), "to_close": air._to_close,
+                            "guess_order": air.guess_order})}
 
 
 def set_fluid(air, state):
@@ -105,6 +106,7 @@ def set_fluid(air, state):
             full[:own] = value
             value = air.node_halo.forward(full)
         setattr(air, name, value)
+    air.guess_order = int(same["guess_order"]) if "guess_order" in same else 0
     air.time, air.dt, air.step, air._to_close = (float(same["time"]), float(same["dt"]), int(same["step"]), int(same["to_close"]))
 
 

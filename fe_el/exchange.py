@@ -44,15 +44,16 @@ class Halo:
         return cls(comm, send, [np.asarray(ghosts)[k] for k in wanted])
 
     @classmethod
-    def of_index_map(cls, comm, index_map):
-        """Build for the ghosts of a dolfinx index map (owned entries first)."""
+    def of_index_map(cls, comm, index_map, used=None):
+        """Build for the ghosts of a dolfinx index map (owned entries first); with ``used``, a mask, for those it marks."""
         if comm.size == 1:
             return cls(comm, [[]], [[]])
         starts = np.array(comm.allgather(index_map.local_range[0]))
         ghosts = np.asarray(index_map.ghosts)
         owners = np.searchsorted(starts, ghosts, side="right") - 1
         local = index_map.size_local + np.arange(len(ghosts))
-        return cls.of_requests(comm, local, owners, ghosts - starts[owners])
+        wanted = slice(None) if used is None else used[index_map.size_local:]
+        return cls.of_requests(comm, local[wanted], owners[wanted], (ghosts - starts[owners])[wanted])
 
     def _swap(self, how, out, into, arrays):
         """Send rows of all arrays (each (entries, numbers)) as one message to each rank; ``out`` and ``into`` say which.
@@ -174,14 +175,21 @@ def add_up(arrays, values, entries, starts, parts):
     """Sums of the parts of shared entries: rows of what was received, or -1 for what is here."""
     at = 0
     for a in arrays:
+        width = a.shape[1]
+        total = np.empty(width, a.dtype)
         for n in range(len(entries)):
-            i = entries[n]
-            for k in range(a.shape[1]):
-                total = 0 * a[i, k]
-                for p in parts[starts[n]:starts[n + 1]]:
-                    total += a[i, k] if p < 0 else values[p, at + k]
-                a[i, k] = total
-        at += a.shape[1]
+            i = np.uint64(entries[n])
+            for part in range(starts[n], starts[n + 1]):
+                first, p = part == starts[n], np.uint64(parts[part])
+                if parts[part] < 0:
+                    for k in range(width):
+                        total[k] = a[i, k] if first else total[k] + a[i, k]
+                else:
+                    for k in range(width):
+                        total[k] = values[p, at + k] if first else total[k] + values[p, at + k]
+            for k in range(width):
+                a[i, k] = total[k]
+        at += width
 
 
 def move(comm, destination, arrays):

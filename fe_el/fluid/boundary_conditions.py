@@ -150,7 +150,7 @@ class Boundaries:
                 void, number = self.work.zeros("void", self.nodes), self.work.zeros("number", self.nodes)
                 facets.add_to_nodes(phi[facets.cell], void)
                 facets.add_to_nodes(np.ones(len(facets.cell)), number)
-                self.complete(void, number)
+                self.node_halo.complete(void, number)
                 ratio = (number[k] / void[k])[:, None]
             self.boundary_velocity[k] = velocity_at(value, self.time, self.node_position[k], d) * ratio
         for facets in self.no_slip:

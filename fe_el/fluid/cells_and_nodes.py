@@ -33,7 +33,9 @@ class CellsAndNodes:
         self.dofs = np.ascontiguousarray(self.space.dofmap.list.array.reshape(-1, d + 1)[:n].astype(np.int32))
         index_map = self.space.dofmap.index_map
         self.nodes, self.owned_nodes = index_map.size_local + index_map.num_ghosts, index_map.size_local
-        self.node_halo = Halo.of_index_map(self.comm, index_map)
+        self.node_halo, touched = Halo.of_index_map(self.comm, index_map), np.zeros(self.nodes, bool)
+        touched[self.dofs] = True
+        self.sum_halo = Halo.of_index_map(self.comm, index_map, touched)
         self.h = self.volume ** (1 / d) * (2 ** 0.5 if d == 2 else 6 ** (1 / 3))
         self.node_position = np.zeros((self.nodes, 3))
         self.node_position[self.dofs] = self.corner
@@ -68,5 +70,5 @@ class CellsAndNodes:
         return total
 
     def complete(self, *sums):
-        """Make nodal sums of owned cells complete on every rank."""
-        self.node_halo.complete(*sums)
+        """Make nodal sums of owned cells complete on every rank whose own cells have the node; elsewhere they stay zero."""
+        self.sum_halo.complete(*sums)

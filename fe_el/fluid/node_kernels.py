@@ -1,4 +1,4 @@
-"""Numba loops over the nodes of the cell-node scheme."""
+"""Numba loops over the nodes of the cell-node scheme; ghosts that no cell of this rank has are without mass and left out."""
 import numpy as np
 from numba import njit
 
@@ -12,6 +12,9 @@ def relaxed(start, sums, upwind, whole, mass, out):
     parts = start.shape[1]
     for i in range(len(start)):
         mass[i] = sums[i, 0]
+        if mass[i] == 0.0:
+            out[i] = start[i]
+            continue
         share = 1.0 if whole else sums[i, 1] / mass[i]
         for k in range(parts):
             misfit = sums[i, 2 + k] / mass[i] - (start[i, k] if upwind else 0.0)
@@ -44,14 +47,15 @@ def close_transport(mass, rhs, balance, defect, dt, held, new, correction):
     for i in range(len(new)):
         for k in range(new.shape[1]):
             total = rhs[i, k] + balance[i, k]
-            new[i, k] += dt * total / mass[i]
+            if mass[i] != 0.0:
+                new[i, k] += dt * total / mass[i]
             balance[i, k] = -total
     for i in held:
         for k in range(new.shape[1]):
             new[i, k] = correction[i, k]
     for i in range(len(new)):
         for k in range(new.shape[1]):
-            correction[i, k] = defect[i, k] / mass[i]
+            correction[i, k] = defect[i, k] / mass[i] if mass[i] != 0.0 else 0.0
 
 
 @njit(cache=True, fastmath=FAST)
@@ -82,7 +86,7 @@ def take_force(u, force, mass, dt, out):
     """u - dt force / mass."""
     for i in range(len(u)):
         for k in range(u.shape[1]):
-            out[i, k] = u[i, k] - dt * force[i, k] / mass[i]
+            out[i, k] = u[i, k] - (dt * force[i, k] / mass[i] if mass[i] != 0.0 else 0.0)
 
 
 @njit(cache=True, fastmath=FAST)
@@ -91,9 +95,38 @@ def after_exchange(u, force, correction, mass, dt, new, gain):
     that fading took off the cells."""
     for i in range(len(u)):
         for k in range(u.shape[1]):
-            rise = force[i, k] / mass[i]
+            rise = force[i, k] / mass[i] if mass[i] != 0.0 else 0.0
             new[i, k] = u[i, k] + dt * rise
             gain[i, k] = rise + correction[i, k] / dt
+
+
+@njit(cache=True, fastmath=FAST)
+def extrapolate(past, last, order, guess):
+    """Polynomial of the given order through the ``last`` values and those ``past`` (nodes, 3; latest first), one step further."""
+    for i in range(len(guess)):
+        a, b, c = past[i, 0], past[i, 1], past[i, 2]
+        if order == 0:
+            guess[i] = last[i]
+        elif order == 1:
+            guess[i] = 2.0 * last[i] - a
+        elif order == 2:
+            guess[i] = 3.0 * (last[i] - a) + b
+        else:
+            guess[i] = 4.0 * (last[i] + b) - 6.0 * a - c
+
+
+@njit(cache=True, fastmath=FAST)
+def misses(past, last, new, out):
+    """Squares of what the extrapolations of order 0 to 3 would have missed of ``new``, summed; ``last`` then joins the ``past``."""
+    out[:] = 0.0
+    for i in range(len(last)):
+        a, b, c = past[i, 0], past[i, 1], past[i, 2]
+        if i < len(new):
+            out[0] += (new[i] - last[i]) ** 2
+            out[1] += (new[i] - 2.0 * last[i] + a) ** 2
+            out[2] += (new[i] - 3.0 * (last[i] - a) - b) ** 2
+            out[3] += (new[i] - 4.0 * (last[i] + b) + 6.0 * a + c) ** 2
+        past[i, 0], past[i, 1], past[i, 2] = last[i], a, b
 
 
 @njit(cache=True, fastmath=FAST)

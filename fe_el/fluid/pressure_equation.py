@@ -1,5 +1,6 @@
 """The Poisson equation of the pressure: assembled when its weights change, with fixed pressures at outlets."""
 import numpy as np
+from mpi4py import MPI
 
 from fe_el.fluid import kernels, node_kernels
 from fe_el.fluid.linear_solver import LinearSolver, NodalMatrix
@@ -19,6 +20,7 @@ class PressureEquation:
     def __init__(self, fluid):
         self.fluid, self.held = fluid, np.flatnonzero(fluid.fixed_pressure)
         self._weight, self._values = np.full(fluid.num_cells, np.nan), np.full(fluid.nodes, np.nan)  # equal to none
+        self._misses = np.zeros(1 + fluid.past_pressures.shape[1])
         self._boundary, self._lift = np.zeros((fluid.nodes, 1)), np.zeros((fluid.nodes, 1))
         self.entries = NodalMatrix(fluid.space, fluid.dofs)
         self.solver = LinearSolver(self.entries.matrix, "pressure", "cg", "gamg", fluid.tolerance, not fluid.outlets)
@@ -40,15 +42,19 @@ class PressureEquation:
         rhs += self._lift[:, 0]
         air.node_halo.reverse_add(rhs)
         node_kernels.fix_entries(self.held, self._diagonal, self._boundary[:, 0], rhs)
-        last, old = air.last_pressure, work.other("old_pressure", air.last_pressure, air.nodes)
-        old[:], guess = p, work.empty("pressure_guess", air.nodes)
-        guess[:] = p
-        if last is not None:
-            guess += old
-            guess -= last
+        guess, old, past = work.empty("pressure_guess", air.nodes), work.empty("old_pressure", air.nodes), air.past_pressures
+        old[:] = p
+        node_kernels.extrapolate(past, old, air.guess_order, guess)
         p[:own] = self.solver.solve(rhs[:own], guess[:own])
-        air.last_pressure = old
         air.node_halo.forward(p)
+        self._choose_order(past, old, p[:own])
+
+    def _choose_order(self, past, old, new):
+        """The order of extrapolation for the next guess: that which would have come closest this time."""
+        air, misses = self.fluid, self._misses
+        node_kernels.misses(past, old, new, misses)
+        air.comm.Allreduce(MPI.IN_PLACE, misses)
+        air.guess_order = int(np.argmin(misses[:min(air.step, len(misses))]))  # at the first step there is no past
 
     def _assemble(self, weight):
         """The matrix, unless nothing that enters it has changed on any rank."""

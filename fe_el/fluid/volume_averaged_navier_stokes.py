@@ -79,14 +79,15 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         self.turbulence, self.time_order, self.stabilisation = turbulence, time_order, stabilisation
         self.upwind = stabilisation is not None and stabilisation.upwind
         self.mean_pressure_gradient, self.stress_of_mixture = mean.copy(), bool(stress_of_mixture)
+        self.guess_order = 0  # of the extrapolation that pressure solves start from
         self.ready, self.step_flux, self._to_close, self._single_phase = False, None, 0, None
         self.body_force = self.mass_source = None
 
     def memory_at_rest(self):
         """What a step takes over from the last beside velocity and pressure, by name, before the first step."""
         n, d, nodes = self.num_cells, self.dimension, self.nodes
-        none = dict.fromkeys(("void_fraction", "_last_flux", "nodal_velocity", "last_pressure", "last_force"))
-        return {**none, "rate": np.zeros(n), **{name: np.zeros((n, d)) for name in ("gain", "fades")},
+        none = dict.fromkeys(("void_fraction", "_last_flux", "nodal_velocity", "last_force"))
+        return {**none, "rate": np.zeros(n), "past_pressures": np.zeros((nodes, 3)), **{name: np.zeros((n, d)) for name in ("gain", "fades")},
                 **{name: np.zeros((nodes, d)) for name in ("force", "nodal_gain", "slip_force", "last_change")}}
 
     def set_initial_velocity(self, value):
@@ -215,6 +216,7 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         self.nodal_velocity = work.empty("nodal_velocity", self.nodes, d)
         node_kernels.after_exchange(nodal, change, self._correction, self.mass, dt, self.nodal_velocity, self.nodal_gain)
         self.impose(self.nodal_velocity)
+        self.node_halo.forward(self.nodal_velocity)
         self.force = change
         if self.upwind:  # which takes nothing beforehand
             self.gain.fill(0.0)
