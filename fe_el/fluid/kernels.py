@@ -176,9 +176,9 @@ def add_elements(dofs, place, elements, values):
 
 
 @by_dimension
-def memory(dofs, mass0, mass1, q, u, dt, theta, lag, gain, nodal_gain, fades, kept, defect):
+def memory(dofs, mass0, mass1, q, u, dt, theta, lag, gain, nodal_gain, fades, kept, mass, defect):
     """What the nodes do not carry, r = q - mean u, fades at a rate k; ``defect`` gets the momentum that lost, per node, ``fades``
-    the change per time.
+    the change per time, ``mass`` the nodal mass at the end of the step.
 
     Drag and pressure feed r with a = gain - mean nodal gain, as of the last step. They act after the fading, over a whole step;
     what fades of that meanwhile, lag times a, is taken off beforehand. So r = a / k in a steady state.
@@ -186,6 +186,8 @@ def memory(dofs, mass0, mass1, q, u, dt, theta, lag, gain, nodal_gain, fades, ke
     n = len(dofs)
     share = 1.0 / M
     for c in range(n):
+        for i in range(M):
+            mass[dofs[c, i]] += share * mass1[c]
         for k in range(D):
             mean, rise = 0.0, 0.0
             for i in range(M):
@@ -206,9 +208,9 @@ def exchange_system(dofs, grad, volume, density, dt, phi, part, supply, drag, so
 
     Sets kept to the transported velocity and q to (rho phi/dt u_T + B + part f) / (rho phi/dt + A); ``part`` is the share of
     pressure gradient and body force f that the fluid takes, phi unless the step is one of several; ``weight`` is that of the
-    equation.
+    equation. f is ``body``, of each cell or of all.
     """
-    n = len(dofs)
+    n, varies = len(dofs), len(body) > 1
     share = 1.0 / M
     for c in range(n):
         inertia = density * phi[c] / dt
@@ -219,7 +221,7 @@ def exchange_system(dofs, grad, volume, density, dt, phi, part, supply, drag, so
             for i in range(M):
                 mean += u[dofs[c, i], k] - correction[dofs[c, i], k]
             kept[c, k] += share * mean
-            q[c, k] = (inertia * kept[c, k] + source[c, k] + part[c] * body[c, k]) / diagonal[c]
+            q[c, k] = (inertia * kept[c, k] + source[c, k] + part[c] * body[c if varies else 0, k]) / diagonal[c]
         for i in range(M):
             flux = 0.0
             for k in range(D):

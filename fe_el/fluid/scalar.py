@@ -5,7 +5,7 @@ import numpy as np
 from dolfinx import fem
 
 from fe_el.checks import require_positive
-from fe_el.fluid import kernels, node_kernels
+from fe_el.fluid import cell_kernels, kernels, node_kernels
 from fe_el.fluid.linear_solver import LinearSolver, NodalMatrix
 from fe_el.fluid.work_arrays import WorkArrays
 
@@ -63,11 +63,9 @@ class Scalar:
         old, rhs = work.empty("old", air.nodes, 1), work.zeros("rhs", air.nodes, 1)
         old[:, 0] = self.value.x.array
         phi0, phi1 = air.void_fractions
-        share, middle = phi1, air.time
-        if air.second_order:
-            share, middle = np.add(phi0, phi1, out=work.empty("share", air.num_cells)), air.time - 0.5 * dt
-            share *= 0.5
-        stress = np.multiply(share, air.density * self.diffusivity, out=work.empty("stress", air.num_cells))
+        middle = air.time - 0.5 * dt if air.second_order else air.time
+        share, stress = work.empty("share", air.num_cells), work.empty("stress", air.num_cells)
+        cell_kernels.stress_of(phi0, phi1, air.second_order, air.density * self.diffusivity, False, share, stress)
         kernels.transport_matrix(air.dofs, place, air.gradient, air.volume, air.density, stress, dt, phi1, air.rate, air.step_flux,
                                  air.fixed_pressure, air.theta_of(self.diffusivity, dt), air.upwind, old, values, rhs)
         for facets, _ in air.outlets:

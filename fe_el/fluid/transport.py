@@ -1,7 +1,7 @@
 """The first two stages of the cell-node scheme: nodes follow their cells, and carry the velocity."""
 import numpy as np
 
-from fe_el.fluid import kernels, node_kernels
+from fe_el.fluid import cell_kernels, kernels, node_kernels
 from fe_el.fluid.continuity import ClosedFlux
 from fe_el.messages import largest
 
@@ -24,15 +24,14 @@ class Transport:
             self._thetas = {**self._thetas, key: theta} if len(self._thetas) < 8 else {key: theta}  # those of the last steps
         return self._thetas[key]
 
-    def _mass_flux(self, dt, phi0, q):
+    def _mass_flux(self, dt, phi0, q, moves):
         """Mass flux rho phi u of the step: carried on to its middle for second order, and closed if the void fraction moves."""
         last, flux = self._last_flux, self.work.empty("flux", *q.shape)
         now = self.work.other("last_flux", last, *q.shape)
         part = 0.5 * dt / self.dt if self.time_order == 2 and last is not None and not self.upwind else 0.0
         kernels.mass_flux(self.dofs, self.density, phi0, q, part, now if last is None else last, now, flux)
         self._last_flux = now
-        moves = np.any(self.rate) or (self.step == 0 and np.any(q))
-        if largest(self.ranks, float(moves)):
+        if largest(self.ranks, float(moves or (self.step == 0 and np.any(q)))):
             self._to_close = 3  # steps whose flux is made of velocities that fit another rate
         if self._to_close:
             self._to_close -= 1
@@ -59,18 +58,15 @@ class Transport:
     def _fade(self, dt, q, u):
         """What the nodes cannot represent fades at the rate of convection and viscosity; nodal sums of the momentum it lost."""
         kept, defect = self.work.empty("kept", *q.shape), self.work.zeros("defect", self.nodes, self.dimension)
+        self.mass = self.work.zeros("mass", self.nodes)
         kernels.memory(self.dofs, self.cell_mass0, self.cell_mass, q, u, dt, self.theta, self.lag, self.gain, self.nodal_gain,
-                       self.fades, kept, defect)
+                       self.fades, kept, self.mass, defect)
         return kept, defect
 
     def _stress(self, phi0, phi, u):
         """The cells' share of the stress, and that times the viscosity (cells,) [Pa s]."""
-        share, stress = phi, self.work.empty("stress", self.num_cells)
-        if self.second_order:
-            share = np.add(phi0, phi, out=self.work.empty("share", self.num_cells))
-            share *= 0.5
-        stress[:] = 1.0 if self.stress_of_mixture else share
-        stress *= self.viscosity
+        share, stress = self.work.empty("share", self.num_cells), self.work.empty("stress", self.num_cells)
+        cell_kernels.stress_of(phi0, phi, self.second_order, self.viscosity, self.stress_of_mixture, share, stress)
         if self.turbulence is not None:
             stress += self.density * share * self.turbulence(self, u)
         return share, stress
@@ -109,8 +105,7 @@ class Transport:
         One evaluation of the fluxes at the solution makes the balance exact whatever the solver's tolerance.
         """
         d, work = self.dimension, self.work
-        self.mass, balance = work.zeros("mass", self.nodes), work.zeros("balance", self.nodes, d)
-        kernels.scatter(self.dofs, self.cell_mass[:, None], self.mass[:, None])
+        balance = work.zeros("balance", self.nodes, d)
         self._transport.subtract_product(new, balance)
         self.complete(self.mass, balance, defect)
         self._correction = work.empty("correction", self.nodes, d)

@@ -5,7 +5,7 @@ import numpy as np
 from dolfinx import fem
 
 from fe_el.exchange import Halo
-from fe_el.fluid import kernels, node_kernels
+from fe_el.fluid import cell_kernels, kernels, node_kernels
 from fe_el.fluid.boundary_conditions import Boundaries, velocity_at
 from fe_el.fluid.cells_and_nodes import CellsAndNodes
 from fe_el.fluid.continuity import Ledger
@@ -152,12 +152,12 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         q = self.work.empty("start_of_cells", n, d)
         q[:] = self.velocity.x.array.reshape(-1, d)[:n]
         rate0, self.rate = self.rate, self.work.other("rate", self.rate, n)
-        np.subtract(phi, phi0, out=self.rate)
-        self.rate /= dt
-        flux = self.step_flux = self._mass_flux(dt, phi0, q)
+        self.cell_mass0, self.cell_mass, self.damping = (self.work.empty(k, n) for k in ("cell_mass0", "cell_mass", "damping"))
+        moves = cell_kernels.begin(self.density, dt, phi0, phi, drag, self.volume, self.rate, self.cell_mass0, self.cell_mass,
+                                   self.damping)
+        flux = self.step_flux = self._mass_flux(dt, phi0, q, moves)
         self.time, self.step = self.time + dt, self.step + 1
         self.second_order = self.time_order == 2 and self.step > START_STEPS and not self.upwind
-        self._masses_and_damping(dt, phi0, phi, drag)
         u = self._relax(dt, q)
         self.set_boundary_values(None if fields is None else phi)
         transported, defect = self._fade(dt, q, u)
@@ -168,36 +168,22 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         self.void_fraction, self.void_fractions, self.dt = phi, (phi0, phi), dt
         self.seconds["fluid"] += time.perf_counter() - tick
 
-    def _masses_and_damping(self, dt, phi0, phi, drag):
-        """Fluid mass of the cells before and after the step, and the part of their velocity that drag takes in it."""
-        n, density = self.num_cells, self.density
-        self.cell_mass0, self.cell_mass, self.damping = (self.work.empty(k, n) for k in ("cell_mass0", "cell_mass", "damping"))
-        for void, mass in ((phi0, self.cell_mass0), (phi, self.cell_mass)):
-            np.multiply(void, self.volume, out=mass)
-            mass *= density
-        inertia = np.multiply(phi, density / dt, out=self.work.empty("inertia", n))
-        inertia += drag
-        np.divide(drag, inertia, out=self.damping)
-
     def _supply(self, dt, rate0):
         """Fluid volume that each cell gives off per volume and time, at the end of the step, where continuity is imposed.
 
         The rate of the void fraction there is that of the parabola through three void fractions.
         """
         self.supply = self.work.empty("supply", self.num_cells)
-        self.supply[:] = self.rate
-        if self.second_order:
-            part, bend = dt / (dt + self.dt), np.subtract(self.rate, rate0, out=self.work.empty("bend", self.num_cells))
-            bend *= part
-            self.supply += bend
+        cell_kernels.supply_of(self.rate, rate0, dt / (dt + self.dt) if self.second_order else 0.0, self.supply)
         if self.mass_source is not None:
             self.supply -= self.at_cells(self.mass_source, (self.num_cells,))
 
     def _exchange(self, dt, phi, share, drag, source, nodal, transported):
         """Stage 3: drag and pressure together; an exact projection with the drag on the diagonal."""
         n, d, work = self.num_cells, self.dimension, self.work
-        q, body, rhs = work.empty("exchanged", n, d), work.empty("body", n, d), work.zeros("pressure_load", self.nodes)
+        q, rhs = work.empty("exchanged", n, d), work.zeros("pressure_load", self.nodes)
         diagonal, weight = work.empty("diagonal", n), work.empty("weight", n)
+        body = work.empty("constant_body", 1, d) if self.body_force is None else work.empty("body", n, d)
         body[:] = self.density * self.gravity + self.mean_pressure_gradient
         if self.body_force is not None:
             body += self.at_cells(self.body_force, (n, d), self.time - (0.5 * dt if self.second_order else 0.0))

@@ -1,0 +1,32 @@
+"""Numba loops over cells alone; each reads and writes all it needs at once, as memory is what limits them."""
+from numba import njit
+
+from fe_el.fluid.for_each_dimension import FAST
+
+
+@njit(cache=True, fastmath=FAST)
+def begin(density, dt, phi0, phi, drag, volume, rate, mass0, mass1, damping):
+    """Rate of the void fraction, fluid masses before and after, and the part of the velocity that drag takes; whether any rate is
+    not zero."""
+    moves = False
+    for c in range(len(phi)):
+        rate[c] = (phi[c] - phi0[c]) / dt
+        moves |= rate[c] != 0.0
+        mass0[c], mass1[c] = density * phi0[c] * volume[c], density * phi[c] * volume[c]
+        damping[c] = drag[c] * dt / (density * phi[c] + drag[c] * dt)
+    return moves
+
+
+@njit(cache=True, fastmath=FAST)
+def stress_of(phi0, phi, middle, viscosity, of_mixture, share, stress):
+    """The cells' share of the stress, in the ``middle`` of the step or at its end, and that times the viscosity."""
+    for c in range(len(phi)):
+        share[c] = 0.5 * (phi0[c] + phi[c]) if middle else phi[c]
+        stress[c] = viscosity if of_mixture else viscosity * share[c]
+
+
+@njit(cache=True, fastmath=FAST)
+def supply_of(rate, rate0, part, supply):
+    """rate + part (rate - rate0)."""
+    for c in range(len(rate)):
+        supply[c] = rate[c] + part * (rate[c] - rate0[c])
