@@ -94,6 +94,27 @@ def test_fixed_fields_give_what_the_fluid_does_alone():
     assert flows[0].time == pytest.approx(0.3)
 
 
+def test_void_fraction_changes_linearly_over_the_steps(monkeypatch):
+    """Of every step but the first, which knows no other: by equal parts from the old one to the new one."""
+    mesh, _ = fe_el.periodic_box((1.0, 1.0), (4, 4))
+    air, seen = fe_el.VolumeAveragedNavierStokes(mesh, None, 1.2, 1e-3), []
+    advance = air.advance
+
+    def watched(dt, fields, share):
+        seen.append(fields[0].x.array.copy())
+        advance(dt, fields, share)
+    monkeypatch.setattr(air, "advance", watched)
+    scalar, vector = fem.FunctionSpace(mesh, ("DG", 0)), fem.VectorFunctionSpace(mesh, ("DG", 0))
+    void, drag, source = fem.Function(scalar), fem.Function(scalar), fem.Function(vector)
+    steps, ends = fe_el.SubCycled(air, 5), [np.random.default_rng(k).uniform(0.5, 0.9, air.num_cells) for k in range(4)]
+    for end in ends:
+        void.x.array[:] = end
+        steps.advance(0.05, (void, drag, source))
+    for k, (old, new) in enumerate(zip(ends, ends[1:])):
+        expected = [old + part / 5 * (new - old) for part in range(1, 6)]
+        assert np.allclose(seen[5 * (k + 1):5 * (k + 2)], expected, rtol=1e-14)
+
+
 def test_number_of_steps_follows_the_courant_number():
     """A uniform stream at Courant number 3.5: four steps of at most one; at most two if that is the limit."""
     mesh, _ = fe_el.periodic_box((1.0, 1.0), (8, 8))

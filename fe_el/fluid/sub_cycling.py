@@ -55,7 +55,7 @@ class SubCycled:
             count = int(np.clip(np.ceil(air.courant(dt) / self.courant), 1, self.most))
         n, phi = air.num_cells, self._void_fraction
         new = fields[0].x.array[:n].copy()
-        old = new if air.void_fraction is None else air.void_fraction
+        old = new if air.void_fraction is None else air.void_fraction.copy()  # the fluid uses its arrays again
         velocity, pressure = np.zeros_like(air.velocity.x.array), np.zeros_like(air.pressure.x.array)
         for k in range(1, count + 1):
             phi.x.array[:n] = old + k / count * (new - old)
