@@ -1,4 +1,6 @@
 """Several steps of the fluid in one exchange: momentum, energy, accuracy, and where particles are mapped."""
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from dolfinx import fem
@@ -110,7 +112,7 @@ def test_void_fraction_changes_linearly_over_the_steps(monkeypatch):
     for end in ends:
         void.x.array[:] = end
         steps.advance(0.05, (void, drag, source))
-    for k, (old, new) in enumerate(zip(ends, ends[1:])):
+    for k, (old, new) in enumerate(pairwise(ends)):
         expected = [old + part / 5 * (new - old) for part in range(1, 6)]
         assert np.allclose(seen[5 * (k + 1):5 * (k + 2)], expected, rtol=1e-14)
 
