@@ -179,14 +179,11 @@ def add_up(arrays, values, entries, starts, parts):
         total = np.empty(width, a.dtype)
         for n in range(len(entries)):
             i = np.uint64(entries[n])
+            total[:] = 0
             for part in range(starts[n], starts[n + 1]):
-                first, p = part == starts[n], np.uint64(parts[part])
-                if parts[part] < 0:
-                    for k in range(width):
-                        total[k] = a[i, k] if first else total[k] + a[i, k]
-                else:
-                    for k in range(width):
-                        total[k] = values[p, at + k] if first else total[k] + values[p, at + k]
+                p = np.uint64(parts[part])
+                for k in range(width):
+                    total[k] += a[i, k] if parts[part] < 0 else values[p, at + k]
             for k in range(width):
                 a[i, k] = total[k]
         at += width

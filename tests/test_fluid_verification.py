@@ -251,12 +251,10 @@ def test_scalar_constant_stays_and_content_is_kept_while_the_void_fraction_moves
     assert np.ptp(totals) < 1e-11
 
 
-@pytest.mark.parametrize("viscosity", [1e-3, 1e-1])
-@pytest.mark.parametrize("wall", ["set_no_slip", "set_slip"])
-def test_order_in_time_beside_walls(wall, viscosity):
-    """A force that grows and turns in a closed box: steps halved twice on one mesh, nodal and cell velocities."""
+def orders_beside_walls(wall, viscosity, counts=(16, 32, 64)):
+    """Orders in time, nodal and cell velocities, of a force that grows and turns in a closed box: steps halved twice on one mesh."""
     nodal, cell = [], []
-    for steps in (16, 32, 64):
+    for steps in counts:
         mesh, tags = fe_el.box((1.0, 1.0), (10, 10))
         air = fe_el.VolumeAveragedNavierStokes(mesh, tags, 1.0, viscosity, tolerance=1e-12)
         for side in (1, 2, 3, 4):
@@ -266,8 +264,14 @@ def test_order_in_time_beside_walls(wall, viscosity):
             air.advance(0.4 / steps)
         nodal.append(air.nodal_velocity.copy())
         cell.append(air.velocity.x.array.copy())
-    for v in (nodal, cell):
-        assert np.log2(np.linalg.norm(v[0] - v[1]) / np.linalg.norm(v[1] - v[2])) > 1.9
+    return [float(np.log2(np.linalg.norm(v[0] - v[1]) / np.linalg.norm(v[1] - v[2]))) for v in (nodal, cell)]
+
+
+@pytest.mark.parametrize("viscosity", [1e-3, 1e-1])
+@pytest.mark.parametrize("wall", ["set_no_slip", "set_slip"])
+def test_order_in_time_beside_walls(wall, viscosity):
+    """The coarsest step is half the time in which viscosity crosses a cell at the larger viscosity."""
+    assert min(orders_beside_walls(wall, viscosity)) > 1.9
 
 
 @pytest.mark.parametrize("time_order", [1, 2])

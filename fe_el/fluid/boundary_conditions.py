@@ -15,6 +15,7 @@ class BoundaryFacets:
         centre: (facets, 3) [m].
         points: (d, facets, 3) of a quadrature with equal weights, exact for parabolic profiles [m].
         nodes: local numbers of the P1 nodes on the group (on every rank that has them).
+        number: facets of the group at each of these nodes, on all ranks.
     """
 
     def __init__(self, mesh, facet_tags, group, dofs, corner, gradient, volume, node_halo, num_nodes):
@@ -38,10 +39,11 @@ class BoundaryFacets:
         self.centre = at.mean(1)
         pull = 1 / 3 ** 0.5 if d == 2 else 0.5  # how far the points lie from the centre towards the vertices
         self.points = np.stack([self.centre + pull * (at[:, k] - self.centre) for k in range(d)])
-        mark = np.zeros(num_nodes)
-        mark[self.facet_nodes] = 1.0
-        node_halo.complete(mark)
-        self.nodes = np.flatnonzero(mark > 0)
+        number = np.zeros(num_nodes)
+        self.add_to_nodes(np.ones(len(self.cell)), number)
+        node_halo.complete(number)
+        self.nodes = np.flatnonzero(number)
+        self.number = number[self.nodes]
 
     def add_to_nodes(self, values, total):
         """Add one value for each facet of this rank to each of its nodes, in ``total`` (nodes,)."""
@@ -147,11 +149,10 @@ class Boundaries:
         for facets, value in self.inlets:
             k, ratio = facets.nodes, 1.0
             if phi is not None:
-                void, number = self.work.zeros("void", self.nodes), self.work.zeros("number", self.nodes)
+                void = self.work.zeros("void", self.nodes)
                 facets.add_to_nodes(phi[facets.cell], void)
-                facets.add_to_nodes(np.ones(len(facets.cell)), number)
-                self.node_halo.complete(void, number)
-                ratio = (number[k] / void[k])[:, None]
+                self.node_halo.complete(void)
+                ratio = (facets.number / void[k])[:, None]
             self.boundary_velocity[k] = velocity_at(value, self.time, self.node_position[k], d) * ratio
         for facets in self.no_slip:
             self.boundary_velocity[facets.nodes] = 0.0

@@ -20,7 +20,7 @@ class ClosedFlux:
     """
 
     def __init__(self, fluid):
-        self.fluid = fluid
+        self.fluid, self.whole = fluid, np.ones(fluid.num_cells)
         laplacian = NodalMatrix(fluid.space, fluid.dofs)
         kernels.poisson_matrix(fluid.dofs, laplacian.place, fluid.gradient, fluid.volume, laplacian.values)
         none = fluid.nodal_zeros((1,))
@@ -32,14 +32,13 @@ class ClosedFlux:
     def __call__(self, flux, time):
         """Close the flux (cells, d) [kg/(m^2 s)] of the step whose middle is ``time`` [s], in place."""
         air, own, n = self.fluid, self.fluid.owned_nodes, self.fluid.num_cells
-        supply, whole = air.work.empty("supply", n), air.work.empty("whole", n)
-        whole.fill(1.0)
+        supply = air.work.empty("supply", n)
         supply[:] = air.rate
         if air.mass_source is not None:
             supply -= air.at_cells(air.mass_source, (n,), time)
         supply *= air.density
         residual, scale = air.work.zeros("residual", air.nodes), air.work.zeros("scale", air.nodes)
-        kernels.mass_balance(air.dofs, air.gradient, air.volume, whole, supply, flux, residual, scale)
+        kernels.mass_balance(air.dofs, air.gradient, air.volume, self.whole, supply, flux, residual, scale)
         inflow = air.inflow_at(time)
         inflow *= air.density
         residual += inflow

@@ -200,28 +200,32 @@ def finite(a):
 
 
 @njit(cache=True, fastmath=FAST)
+def take_normal(u, i, normal):
+    """Take the normal part of one node, in place; returns that part."""
+    along = 0.0
+    for k in range(u.shape[1]):
+        along += normal[k] * u[i, k]
+    for k in range(u.shape[1]):
+        u[i, k] -= normal[k] * along
+    return along
+
+
+@njit(cache=True, fastmath=FAST)
 def slip(u, nodes, normal, fixed, mass, rate, force):
     """Take the normal part at slip walls, in place, and add what that took, mass times velocity times ``rate``, to ``force``."""
     for n in range(len(nodes)):
-        i, along = nodes[n], 0.0
-        if fixed[i]:
-            continue
-        for k in range(u.shape[1]):
-            along += normal[n, k] * u[i, k]
-        for k in range(u.shape[1]):
-            u[i, k] -= normal[n, k] * along
-            force[i, k] -= rate * mass[i] * normal[n, k] * along
+        i = nodes[n]
+        if not fixed[i]:
+            along = take_normal(u, i, normal[n])
+            for k in range(u.shape[1]):
+                force[i, k] -= rate * mass[i] * normal[n, k] * along
 
 
 @njit(cache=True, fastmath=FAST)
 def impose(u, slip, normal, held, boundary):
     """Take the normal part at slip walls, one after the other, and set the held nodes, in place."""
     for n in range(len(slip)):
-        i, along = slip[n], 0.0
-        for k in range(u.shape[1]):
-            along += normal[n, k] * u[i, k]
-        for k in range(u.shape[1]):
-            u[i, k] -= normal[n, k] * along
+        take_normal(u, slip[n], normal[n])
     for i in held:
         for k in range(u.shape[1]):
             u[i, k] = boundary[i, k]

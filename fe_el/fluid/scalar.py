@@ -70,17 +70,14 @@ class Scalar:
                                  air.fixed_pressure, air.theta_of(self.diffusivity, dt), air.upwind, old, values, rhs)
         for facets, _ in air.outlets:
             kernels.open_boundary(place, facets.cell, facets.local, facets.area_normal, air.step_flux, values)
-        mass0, mass1 = work.zeros("mass0", air.nodes, 1), work.zeros("mass1", air.nodes, 1)
-        kernels.scatter(air.dofs, air.cell_mass0[:, None], mass0)
-        kernels.scatter(air.dofs, air.cell_mass[:, None], mass1)
         if self.source is not None:
             supply = np.multiply(air.at_cells(self.source, (air.num_cells,), middle), air.volume, out=work.empty("supply", air.num_cells))
             kernels.scatter(air.dofs, supply[:, None], rhs)
-        air.complete(mass0, mass1, rhs)
-        self._solve(dt, rhs, mass0, mass1, old)
+        air.complete(rhs)
+        self._solve(dt, rhs, old)
         self.seconds[self.name] += time.perf_counter() - tick
 
-    def _solve(self, dt, rhs, mass0, mass1, old):
+    def _solve(self, dt, rhs, old):
         air, own, work = self.fluid, self.fluid.owned_nodes, self.work
         if self._held is None:
             mark = np.zeros(air.nodes, bool)
@@ -96,7 +93,7 @@ class Scalar:
         self.matrix.release()
         self.solver.new_values()
         load, system, guess = work.empty("load", air.nodes, 1), work.empty("system", 1, own), work.empty("guess", 1, own)
-        node_kernels.transport_load(mass0[:, 0], old, self._unmoved, self._unmoved, rhs, lift, dt, self._held, boundary,
+        node_kernels.transport_load(air.mass0, old, self._unmoved, self._unmoved, rhs, lift, dt, self._held, boundary,
                                     self.matrix.diagonal(), load, system, guess)
         new = work.empty("new", air.nodes, 1)
         new[:own, 0] = self.solver.solve(system[0], guess[0])
@@ -104,7 +101,7 @@ class Scalar:
         balance = work.zeros("balance", air.nodes, 1)
         self.matrix.subtract_product(new, balance)
         air.complete(balance)
-        node_kernels.close_transport(mass1[:, 0], load, balance, self._unmoved, dt, self._held, new, work.empty("none", air.nodes, 1))
+        node_kernels.close_transport(air.mass, load, balance, self._unmoved, dt, self._held, new, work.empty("none", air.nodes, 1))
         self.value.x.array[:] = new[:, 0]
 
     def total(self):

@@ -4,6 +4,7 @@ from numba import njit
 
 from fe_el.checks import require_positive
 from fe_el.fluid.for_each_dimension import D, M, by_dimension
+from fe_el.fluid.kernels import fading_rate
 
 
 @by_dimension
@@ -29,7 +30,7 @@ def _weights(flux, density, share, h, viscosity, factor, weight):
         for k in range(flux.shape[1]):
             square += flux[c, k] ** 2
         mass = density * share[c]
-        rate = 2 * np.sqrt(square) / mass / h[c] + 4 * viscosity / density / h[c] ** 2
+        rate = fading_rate(square / mass ** 2, h[c], viscosity / density)
         weight[c] = factor / max(rate, 1e-300) / mass
 
 
