@@ -1,7 +1,7 @@
 """fe_el: finite-element fluid with Lagrangian particles on FEniCSx.
 
 Fluid: VolumeAveragedNavierStokes, SubCycled, Scalar, Probe, TimeAverage, ramp, SolverDiverged;
-    eddy viscosities Smagorinsky, Vreman, Wale; stabilisations Streamline, Upwind
+    eddy viscosities Smagorinsky, Vreman, Wale; wall law Spalding; stabilisations Streamline, Upwind
 Particles: Particles, Inlet, LostParticle, Contacts; laws LinearSpringDashpot, HertzMindlin, RollingFriction, ArrayLaw;
     walls FacetWalls, PlaneWall, CylinderWall
 Coupling: Coupling; forces Drag, PressureGradient, ViscousStress, Buoyancy; drag_laws; HelmholtzSmoothing, PatchAverage;
@@ -16,9 +16,9 @@ import importlib
 
 _HOME = {
     "VolumeAveragedNavierStokes": "fluid.volume_averaged_navier_stokes", "SolverDiverged": "fluid.linear_solver",
-    "Scalar": "fluid.scalar", "Probe": "fluid.observers", "TimeAverage": "fluid.observers", "ramp": "fluid.boundary_conditions",
+    "Scalar": "fluid.scalar", "Probe": "fluid.observers", "TimeAverage": "fluid.observers", "ramp": "fluid.boundary_values",
     "Smagorinsky": "fluid.turbulence", "Vreman": "fluid.turbulence", "Wale": "fluid.turbulence",
-    "SubCycled": "fluid.sub_cycling", "Streamline": "fluid.stabilisation", "Upwind": "fluid.stabilisation",
+    "SubCycled": "fluid.sub_cycling", "Spalding": "fluid.wall_laws", "Streamline": "fluid.stabilisation", "Upwind": "fluid.stabilisation",
     "Particles": "particles.particles", "LostParticle": "particles.particles", "Contacts": "particles.contacts",
     "LinearSpringDashpot": "particles.contact_laws", "HertzMindlin": "particles.contact_laws",
     "RollingFriction": "particles.contact_laws", "ArrayLaw": "particles.array_law", "Inlet": "particles.open_boundaries",

@@ -1,8 +1,10 @@
 """Boundary conditions of the fluid: facets and nodes of the tagged groups, and their values."""
 import numpy as np
 
-from fe_el.checks import require_positive
+from fe_el.exchange import raise_everywhere
 from fe_el.fluid import node_kernels
+from fe_el.fluid.boundary_values import velocity_at, volume_flux
+from fe_el.fluid.walls import WallFriction, held_directions
 from fe_el.mesh import require_groups
 
 
@@ -24,13 +26,11 @@ class BoundaryFacets:
         mesh.topology.create_connectivity(d - 1, d)
         mesh.topology.create_connectivity(d, d - 1)
         to_cell, to_facet = mesh.topology.connectivity(d - 1, d), mesh.topology.connectivity(d, d - 1)
-        rows = []
-        for facet in facet_tags.indices[facet_tags.values == group]:
-            cells = to_cell.links(facet)
-            if len(cells) == 1 and cells[0] < len(corner):
-                rows.append((cells[0], int(np.flatnonzero(to_facet.links(cells[0]) == facet)[0])))
-        rows = np.array(rows, np.int64).reshape(-1, 2)
-        self.cell, self.local = rows[:, 0].copy(), rows[:, 1].copy()
+        facet = facet_tags.indices[facet_tags.values == group]
+        self._refuse_inner(mesh, group, facet[np.diff(to_cell.offsets)[facet] > 1])
+        cell = to_cell.array[to_cell.offsets[facet]].astype(np.int64)
+        facet, cell = facet[cell < len(corner)], cell[cell < len(corner)]
+        self.cell, self.local = cell, np.argmax(to_facet.array.reshape(-1, d + 1)[cell] == facet[:, None], axis=1)
         # |grad of the opposite basis function| = area / (d volume)
         self.area_normal = -gradient[self.cell, self.local] * (d * volume[self.cell])[:, None]
         keep = np.array([[v for v in range(d + 1) if v != f] for f in range(d + 1)])[self.local]
@@ -45,49 +45,18 @@ class BoundaryFacets:
         self.nodes = np.flatnonzero(number)
         self.number = number[self.nodes]
 
+    @staticmethod
+    def _refuse_inner(mesh, group, inner):
+        """A facet between two cells is no boundary."""
+        number = mesh.comm.allreduce(len(inner))
+        message = (f"Boundary group {group} has facets between two cells ({number}, those between ranks counted by each); the fluid "
+                   "has boundary conditions on outer facets only. Tag outer facets alone, or cut the mesh open along the group "
+                   "(gmsh: Plugin Crack).") if number else None
+        raise_everywhere(mesh.comm, ValueError, message)
+
     def add_to_nodes(self, values, total):
         """Add one value for each facet of this rank to each of its nodes, in ``total`` (nodes,)."""
         node_kernels.add_to_nodes(self.facet_nodes, values, total)
-
-
-def volume_flux(facets, value, time, dimension):
-    """Volume per time that leaves through each facet with a velocity value [m^3/s]."""
-    mean = sum(velocity_at(value, time, at, dimension) for at in facets.points) / dimension
-    return (mean * facets.area_normal).sum(1)
-
-
-def velocity_at(value, time, position, dimension):
-    """Velocity (points, d) from a constant or a function ``value(time, position (points, 3))``.
-
-    Raises:
-        ValueError: if it has the wrong shape or is not finite.
-    """
-    v = np.asarray(value(time, position) if callable(value) else value, float)
-    try:
-        v = np.broadcast_to(v, (len(position), dimension))
-    except ValueError:
-        raise ValueError(f"The velocity has shape {v.shape}; give {dimension} numbers, or a function (time, position) "
-                         f"that returns an array (points, {dimension}).") from None
-    if not np.isfinite(v).all():
-        raise ValueError(f"The boundary velocity at time {time:g} is not finite; give finite numbers [m/s].")
-    return v
-
-
-def ramp(value, duration):
-    """Velocity of an inlet that rises smoothly from zero to ``value`` within ``duration`` [s].
-
-    Args:
-        value: d numbers, or a function (time, position).
-
-    Raises:
-        ValueError: for a duration that is not positive.
-    """
-    require_positive("duration of the ramp", duration)
-
-    def rising(time, position):
-        s = min(max(time / duration, 0.0), 1.0)
-        return s * s * (3 - 2 * s) * np.asarray(value(time, position) if callable(value) else value, float)
-    return rising
 
 
 class Boundaries:
@@ -102,34 +71,69 @@ class Boundaries:
                                                  self.volume, self.node_halo, self.nodes)
         return self._facets[group]
 
-    def set_velocity(self, group, value):
-        """Superficial velocity on an inlet: d numbers, or a function (time, position (points, 3)) -> (points, d)."""
-        facets = self.boundary(group)
-        velocity_at(value, 0.0, facets.centre, self.dimension)
-        self.inlets.append((facets, value))
+    def _set(self, kind, groups, *what):
+        """Give groups a condition, in place of what they had."""
+        groups = np.atleast_1d(np.asarray(groups))
+        if groups.dtype.kind not in "iu" or groups.ndim != 1 or not groups.size:
+            raise ValueError(f"The boundary groups are {groups.tolist()}; give a whole number or a list of whole numbers.")
+        for group in groups.tolist():
+            self._conditions[group] = kind, self.boundary(group), *what
+        self.inlets, self.outlets, self.no_slip, self.slip = (
+            [tuple(c[1:]) for c in self._conditions.values() if c[0] == k] for k in ("velocity", "pressure", "no slip", "slip"))
         self.ready = False
 
-    def set_pressure(self, group, value=0.0):
-        """Pressure on an outlet [Pa]: a number or a function of time. Fluid may enter there without bringing energy."""
+    def set_velocity(self, groups, value):
+        """Superficial velocity on inlets: d numbers, or a function (time, position (points, 3)) -> (points, d)."""
+        velocity_at(value, 0.0, np.zeros((1, 3)) if not callable(value) else self.node_position, self.dimension)
+        self._set("velocity", groups, value)
+
+    def set_pressure(self, groups, value=0.0):
+        """Pressure on outlets [Pa]: a number or a function of time. Fluid may enter there without bringing energy."""
         if not callable(value) and not np.isfinite(value):
             raise ValueError(f"The pressure is {value}; it must be finite [Pa].")
-        self.outlets.append((self.boundary(group), value))
-        self.ready = False
+        self._set("pressure", groups, value)
 
-    def set_no_slip(self, group):
-        """No-slip wall."""
-        self.no_slip.append(self.boundary(group))
-        self.ready = False
+    def set_no_slip(self, groups, velocity=None, law=None):
+        """No-slip walls: no flow through them; friction as the mesh, the drag beside the wall or a wall law has it.
 
-    def set_slip(self, group):
-        """Slip wall: no flow through it and no friction."""
-        facets = self.boundary(group)
-        normal = np.zeros((self.nodes, self.dimension))
-        np.add.at(normal, facets.facet_nodes, facets.area_normal[:, None])
-        self.node_halo.complete(normal)
-        length = np.linalg.norm(normal, axis=1)
-        self.slip.append((facets.nodes, (normal / np.maximum(length, 1e-300)[:, None])[facets.nodes]))
-        self.ready = False
+        Args:
+            groups: one or several boundary groups.
+            velocity: interstitial velocity of the wall along itself [m/s]: d numbers, or a function (time, position (points, 3))
+                -> (points, d); absent: at rest. Only its part along the wall counts.
+            law: wall law of turbulent layers, for instance :class:`Spalding`; absent: the layer is resolved, or laminar.
+
+        Raises:
+            ValueError: for a velocity that leads through the wall.
+        """
+        for group in np.atleast_1d(groups).tolist() if velocity is not None else ():
+            facets = self.boundary(group)
+            through = (velocity_at(velocity, self.time, facets.centre, self.dimension) * facets.area_normal).sum(1)
+            size = np.linalg.norm(velocity_at(velocity, self.time, facets.centre, self.dimension), axis=1)
+            bad = np.abs(through) > 0.2 * size * np.linalg.norm(facets.area_normal, axis=1) + 1e-300
+            message = (f"The velocity of no-slip wall {group} leads through the wall at {facets.centre[bad][0].tolist()}; give a "
+                       "velocity along the wall, or use set_velocity for fluid that flows in.") if bad.any() else None
+            raise_everywhere(self.comm, ValueError, message)
+        self._set("no slip", groups, velocity, law)
+
+    def set_slip(self, groups):
+        """Slip walls: no flow through them and no friction."""
+        self._set("slip", groups)
+
+    def _hold_nodes(self):
+        """Nodes and directions that boundaries hold, and the friction of the walls."""
+        self.fixed, self.fixed_pressure = np.zeros(self.nodes, bool), np.zeros(self.nodes, bool)
+        walls = [f for f, *_ in (*self.no_slip, *self.slip)]
+        self.slip_nodes, self.slip_normals, corners = held_directions(self, walls)
+        self.fixed[corners] = True
+        for facets, _ in self.inlets:
+            self.fixed[facets.nodes] = True
+        for facets, _ in self.outlets:
+            self.fixed_pressure[facets.nodes] = True
+        self.at_wall = np.zeros(self.nodes, bool)
+        for facets, *_ in self.no_slip:
+            self.at_wall[facets.nodes] = True
+        self.held, self._wall_share = np.flatnonzero(self.fixed), None
+        self.wall_friction = WallFriction(self, self.no_slip) if self.no_slip else None
 
     def check_inflow(self):
         """Raise ``ValueError`` if a domain without outlet is given a net inflow."""
@@ -141,7 +145,7 @@ class Boundaries:
             raise ValueError(f"The inlets let {-net:g} m^3/s into a domain without outlet; add set_pressure(group).")
 
     def set_boundary_values(self, phi):
-        """Interstitial velocities of the fixed nodes at the new time; walls win over inlets. ``phi`` None: one, on all ranks."""
+        """Interstitial velocities of the fixed nodes at the new time. ``phi`` None: one, on all ranks."""
         d, constant = self.dimension, phi is None and not any(callable(value) for _, value in self.inlets)
         if constant and self._values_set:
             return
@@ -154,8 +158,6 @@ class Boundaries:
                 self.node_halo.complete(void)
                 ratio = (facets.number / void[k])[:, None]
             self.boundary_velocity[k] = velocity_at(value, self.time, self.node_position[k], d) * ratio
-        for facets in self.no_slip:
-            self.boundary_velocity[facets.nodes] = 0.0
 
     def inflow_at(self, time):
         """Volume per time that the inlets let in, on the nodes of owned facets [m^3/s]; the same memory each time."""
@@ -176,13 +178,36 @@ class Boundaries:
         node_kernels.impose(u, self.slip_nodes, self.slip_normals, self.held, self.boundary_velocity)
 
     def boundary_force(self, group):
-        """Force of the fluid on a no-slip boundary group, by pressure and by shear: two arrays (d,) [N].
+        """Force of the fluid on a boundary group, by pressure and by friction: two arrays (d,) [N].
 
-        The shear is what the nodes of the wall need to keep their velocity, so the two balance the fluid's momentum exactly.
-        Call it after :meth:`advance`. Nodes that two groups share count for both.
+        Friction is what the terms of the wall, and what keeps its nodes from moving through it, take from the fluid's momentum
+        in the step; where groups meet, each node's part goes to them by their facets. On a group of inlets, or any other than
+        no-slip and slip walls, there is no friction. Call it after :meth:`advance`.
+
+        Raises:
+            RuntimeError: before the first step.
         """
         facets, d, own = self.boundary(group), self.dimension, self.owned_nodes
+        if self.step == 0 or not self.ready:
+            raise RuntimeError(f"The force on boundary {group} is not known before a step; call advance first.")
         p = self.pressure.x.array[facets.facet_nodes].mean(1) if len(facets.cell) else np.zeros(0)
         pressure = (p[:, None] * facets.area_normal).sum(0).reshape(d)
-        nodes = facets.nodes[facets.nodes < own]
-        return self.comm.allreduce(pressure), self.comm.allreduce(-self.reaction[nodes].sum(0))
+        return self.comm.allreduce(pressure), self.comm.allreduce(self._friction_on(facets, own))
+
+    def _friction_on(self, facets, own):
+        """This rank's part of the friction on the wall with these facets (d,) [N]."""
+        walls = [f for f, *_ in (*self.no_slip, *self.slip)]
+        if not any(f is facets for f in walls):
+            return np.zeros(self.dimension)
+        if self._wall_share is None:  # facets of all walls at each node
+            self._wall_share = np.zeros(self.nodes)
+            for wall in walls:
+                self._wall_share[wall.nodes] += wall.number
+            for inlet, _ in self.inlets:
+                self._wall_share[inlet.nodes] = np.inf
+        mine = facets.nodes < own
+        nodes = facets.nodes[mine]
+        share = (facets.number[mine] / self._wall_share[nodes])[:, None]
+        friction = 0.0 if self.wall_friction is None else self.wall_friction.force_on(facets)
+        held = np.where(self.fixed[nodes, None], self.reaction[nodes], self.slip_force[nodes])
+        return friction - (share * (held - self._taken[nodes] + self.last_force[nodes])).sum(0)

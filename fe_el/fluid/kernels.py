@@ -20,6 +20,14 @@ def relaxation_rate(speed_squared, h, nu):
 
 
 @njit(cache=True, fastmath=FAST)
+def relaxation_rate_at_wall(speed_squared, h, nu):
+    """The same for nodes on no-slip walls: the cells lie on one side of them, so where the mesh resolves the layer what these share
+    is no error of the nodes; where convection is far faster than viscosity the nodes follow as others do."""
+    convection = 4.0 * np.sqrt(speed_squared) / h
+    return convection * convection / (convection + 16.0 * nu / (h * h) + 1e-300)
+
+
+@njit(cache=True, fastmath=FAST)
 def left_of(x):
     """What is left after a time x of something that fades at a rate of one: exp(-x) to the third order."""
     return 1.0 / (1.0 + x * (1.0 + x * (0.5 + x / 6.0)))
@@ -44,7 +52,7 @@ def trust(viscous, fading, damping):
 
 
 @by_dimension
-def mass_and_misfit(dofs, weight, q, u, h, nu, dt, damping, gain, nodal_gain, fades, upwind, sums, theta, lag):
+def mass_and_misfit(dofs, weight, q, u, h, nu, dt, damping, gain, nodal_gain, fades, upwind, at_wall, sums, theta, lag):
     """What relaxation needs at the nodes, in ``sums`` (nodes, 2 + 2 d), and what is left of what the nodes do not carry.
 
     The sums are those of the cell masses; of mass times the part of the misfit that is taken over in a step; of mass times the
@@ -64,21 +72,25 @@ def mass_and_misfit(dofs, weight, q, u, h, nu, dt, damping, gain, nodal_gain, fa
         theta[c], kept = left_of(fading), left_of(relax)
         mass, step = share * weight[c], dt * trust(nu * dt / (h[c] * h[c]), fading, damping[c])
         lag[c] = step * lag_of(theta[c], fading)
-        taken, given = mass * (1.0 - kept), mass * step * lag_of(kept, relax)
+        taken, given = mass * (1.0 - kept), step * lag_of(kept, relax)
+        wall_relax = dt * relaxation_rate_at_wall(speed, h[c], nu)
+        wall_kept = left_of(wall_relax)
+        wall_given = step * lag_of(wall_kept, wall_relax)
         for k in range(D):
             mean, rise = 0.0, 0.0
             for i in range(M):
                 mean += u[dofs[c, i], k]
                 rise += nodal_gain[dofs[c, i], k]
             misfit[k] = mass * (q[c, k] - (0.0 if upwind else share * mean))
-            feed[k] = 0.0 if upwind else given * (gain[c, k] - share * rise - fades[c, k])
+            feed[k] = 0.0 if upwind else mass * (gain[c, k] - share * rise - fades[c, k])
         for i in range(M):
             node = dofs[c, i]
+            feeding = wall_given if at_wall[node] else given
             sums[node, 0] += mass
-            sums[node, 1] += taken
+            sums[node, 1] += mass * (1.0 - wall_kept) if at_wall[node] else taken
             for k in range(D):
                 sums[node, 2 + k] += misfit[k]
-                sums[node, 2 + D + k] += feed[k]
+                sums[node, 2 + D + k] += feeding * feed[k]
 
 
 @by_dimension

@@ -49,7 +49,7 @@ class Transport:
         start = work.zeros("start", self.nodes, d) if self.nodal_velocity is None else self.nodal_velocity
         sums, u, self.mass0 = work.zeros("sums", self.nodes, 2 + 2 * d), work.empty("relaxed", self.nodes, d), work.empty("mass0", self.nodes)
         kernels.mass_and_misfit(self.dofs, self.cell_mass0, q, start, self.h, self.viscosity / self.density, dt, self.damping, self.gain,
-                                self.nodal_gain, self.fades, self.upwind, sums, self.theta, self.lag)
+                                self.nodal_gain, self.fades, self.upwind, self.at_wall, sums, self.theta, self.lag)
         self.complete(sums)
         node_kernels.relaxed(start, sums, self.upwind, self.nodal_velocity is None, self.mass0, u)
         self.impose(u)
@@ -75,12 +75,15 @@ class Transport:
         """Stage 2: convection and viscosity of the nodal velocity, implicit, skew-symmetric, conserving momentum."""
         d, work, own, place, values = self.dimension, self.work, self.owned_nodes, self._transport.place, self._transport.values
         share, stress = self._stress(phi0, phi, u)
+        self._stress_now = stress
         explicit, lift = work.zeros("explicit", self.nodes, d), work.zeros("lift", self.nodes, d)
         values.fill(0.0)
         kernels.transport_matrix(self.dofs, place, self.gradient, self.volume, self.density, stress, dt, phi, self.rate, flux,
                                  self.fixed_pressure, self.theta_of(self.viscosity / self.density, dt), self.upwind, u, values, explicit)
         if self.stabilisation is not None and not self.upwind:
             self.stabilisation(self, share, flux, u, self._transport, explicit)
+        if self.wall_friction is not None:
+            self.wall_friction.add(dt, stress, u, self._transport, explicit)
         for facets, _ in self.outlets:
             kernels.open_boundary(place, facets.cell, facets.local, facets.area_normal, flux, values)
         self._transport.fix(self.fixed, lift, self.boundary_velocity)
@@ -97,6 +100,8 @@ class Transport:
             new[:own, k] = self.transport_solver.solve(system[k], guess[k])
         self.node_halo.forward(new)
         np.subtract(new, u, out=self.last_change)
+        if self.wall_friction is not None:
+            self.wall_friction.close(new)
         return self._balance(dt, new, rhs, defect)
 
     def _balance(self, dt, new, rhs, defect):
@@ -114,7 +119,8 @@ class Transport:
         if not self.upwind:
             node_kernels.slip(new, self.slip_nodes, self.slip_normals, self.fixed, self.mass, 1 / dt, self.slip_force)
         self.impose(new)
-        node_kernels.take_force(new, self._force_ahead(dt), self.mass, dt, rhs)
+        self._taken = self._force_ahead(dt)
+        node_kernels.take_force(new, self._taken, self.mass, dt, rhs)
         return rhs
 
     def _force_ahead(self, dt):

@@ -6,7 +6,8 @@ from dolfinx import fem
 
 from fe_el.exchange import Halo
 from fe_el.fluid import cell_kernels, kernels, node_kernels
-from fe_el.fluid.boundary_conditions import Boundaries, velocity_at
+from fe_el.fluid.boundary_conditions import Boundaries
+from fe_el.fluid.boundary_values import velocity_at
 from fe_el.fluid.cells_and_nodes import CellsAndNodes
 from fe_el.fluid.continuity import Ledger
 from fe_el.fluid.linear_solver import LinearSolver, NodalMatrix
@@ -72,7 +73,7 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         for name, value in self.memory_at_rest().items():
             setattr(self, name, value)
         self.time, self.step, self.seconds = 0.0, 0, {"fluid": 0.0}
-        self.inlets, self.outlets, self.no_slip, self.slip, self._facets = [], [], [], [], {}
+        self.inlets, self.outlets, self.no_slip, self.slip, self._facets, self._conditions = [], [], [], [], {}, {}
         mean = np.zeros(d) if mean_pressure_gradient is None else np.asarray(mean_pressure_gradient, float)[:d]
         if time_order not in (1, 2):
             raise ValueError(f"time_order is {time_order}; it must be 1 or 2.")
@@ -103,14 +104,8 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         self._transport = NodalMatrix(self.space, self.dofs)
         closed = not self.outlets
         self.transport_solver = LinearSolver(self._transport.matrix, "transport", "bcgs", "jacobi", self.tolerance)
-        self.fixed, self.fixed_pressure = np.zeros(self.nodes, bool), np.zeros(self.nodes, bool)
-        for facets in [f for f, _ in self.inlets] + self.no_slip:
-            self.fixed[facets.nodes] = True
-        for facets, _ in self.outlets:
-            self.fixed_pressure[facets.nodes] = True
-        slip = [(np.zeros(0, np.int64), np.zeros((0, self.dimension))), *self.slip]
-        self.slip_nodes, self.slip_normals = (np.concatenate(a) for a in zip(*slip))
-        self.held, self._thetas, self._steady_inflow, self._closed_flux = np.flatnonzero(self.fixed), {}, None, None
+        self._hold_nodes()
+        self._thetas, self._steady_inflow, self._closed_flux = {}, None, None
         self.pressure_equation = PressureEquation(self)
         self.boundary_velocity, self._values_set = np.zeros((self.nodes, self.dimension)), False
         if closed:
@@ -164,6 +159,8 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         nodal = self._transport_step(dt, phi0, phi, flux, u, defect)
         self._supply(dt, rate0)
         share = phi if pressure_share is None else pressure_share
+        if self.wall_friction is not None:
+            drag, source = self.wall_friction.in_cells(self._stress_now, drag, source, q)
         self._exchange(dt, phi, share, drag, source, nodal, transported)
         self.void_fraction, self.void_fractions, self.dt = phi, (phi0, phi), dt
         self.seconds["fluid"] += time.perf_counter() - tick

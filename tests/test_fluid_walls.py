@@ -1,0 +1,218 @@
+"""No-slip walls of the fluid: layers thinner than a cell, forces on walls, moving walls, edges, wall law, refusals."""
+import numpy as np
+import pytest
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+
+import fe_el
+
+WIDTH, VOID, DENSITY, VISCOSITY = 0.015, 0.42, 1.13, 1.77e-5
+
+
+def fields_of(mesh, void, drag):
+    """Void fraction, drag coefficient and no source."""
+    scalar, vector = fem.FunctionSpace(mesh, ("DG", 0)), fem.VectorFunctionSpace(mesh, ("DG", 0))
+    out = fem.Function(scalar), fem.Function(scalar), fem.Function(vector)
+    out[0].x.array[:], out[1].x.array[:] = void, drag
+    return out
+
+
+def brinkman(beta, d):
+    """Pressure drop over beta U / phi^2 between two walls, or in a square duct."""
+    a = WIDTH / 2 / np.sqrt(VOID * VISCOSITY / beta)
+    if d == 2:
+        return 1 / (1 - np.tanh(a) / a)
+    k = np.arange(1, 20001, 2.0)
+    b = (np.pi / (2 * a)) ** 2
+    c = 1 + b * k ** 2
+    s = np.pi / 2 * np.sqrt(c / b)
+    return 1 / (8 / (np.pi * k) ** 2 / c * (1 - np.tanh(s) / s)).sum()
+
+
+def duct_drop(mesh, tags, groups, beta, speed, steps=100):
+    """Pressure drop over beta U / phi^2 in the middle of a duct along the last axis, groups (inlet, outlet, walls), and velocities."""
+    d = mesh.topology.dim
+    air = fe_el.VolumeAveragedNavierStokes(mesh, tags, density=DENSITY, viscosity=VISCOSITY, tolerance=1e-9)
+    inflow = (0.0,) * (d - 1) + (speed,)
+    air.set_velocity(groups[0], inflow)
+    air.set_pressure(groups[1], 0.0)
+    air.set_no_slip(groups[2])
+    air.set_initial_velocity(tuple(v / VOID for v in inflow))
+    fields = fields_of(mesh, VOID, beta)
+    for _ in range(steps):
+        air.advance(1e-3, fields)
+    z, centre = air.node_position[:, d - 1], air.corner.mean(1)
+    length, middle = z.max(), np.abs(centre[:, d - 1] - z.max() / 2) < WIDTH
+    gradient = np.einsum("cik,ci->ck", air.gradient, air.pressure.x.array[air.dofs])[middle, d - 1]
+    drop = -(air.volume[middle] @ gradient) / air.volume[middle].sum()
+    u = air.velocity.x.array.reshape(-1, d)[:air.num_cells, d - 1][middle] * VOID / speed
+    assert length > 5 * WIDTH
+    return drop / (beta * speed / VOID ** 2), u
+
+
+@pytest.mark.parametrize("d, across", [(2, 2), (2, 4), (2, 8), (2, 16), (3, 2), (3, 4)])
+@pytest.mark.parametrize("speed, beta", [(1.3, 2170.0), (1.3, 217.0), (0.1, 2170.0), (1.3, 21700.0)])
+def test_pressure_drop_of_a_duct_with_drag(d, across, speed, beta):
+    """Within 0.7 % of Brinkman's solution, though its layer is between a fifth and an eightieth of a cell."""
+    mesh, tags = fe_el.box((WIDTH,) * (d - 1) + (6 * WIDTH,), (across,) * (d - 1) + (6 * across,))
+    drop, _ = duct_drop(mesh, tags, (2 * d - 1, 2 * d, list(range(1, 2 * d - 1))), beta, speed)
+    assert drop == pytest.approx(brinkman(beta, d), rel=7e-3)
+
+
+def test_cells_behind_walls_have_the_mean_velocity():
+    """Where the layer is a fortieth of a cell every cell has the mean velocity within a tenth."""
+    mesh, tags = fe_el.box((WIDTH, WIDTH, 6 * WIDTH), (2, 2, 12))
+    _, u = duct_drop(mesh, tags, (5, 6, [1, 2, 3, 4]), 217.0, 1.3)
+    assert np.abs(u - 1).max() < 0.1
+
+
+@pytest.mark.parametrize("size", [0.0075, 0.004])
+def test_unstructured_duct_with_one_group_of_walls(tmp_path, size):
+    """A gmsh mesh whose four sides are one group: edges and corners are found, the drop is Brinkman's."""
+    (tmp_path / "duct.geo").write_text(f"""SetFactory("OpenCASCADE");
+Box(1) = {{0, 0, 0, {WIDTH}, {WIDTH}, {6 * WIDTH}}};
+MeshSize{{ PointsOf{{ Volume{{1}}; }} }} = {size};
+Physical Surface("INLET", 1) = {{5}};
+Physical Surface("OUTLET", 2) = {{6}};
+Physical Surface("WALL", 3) = {{1, 2, 3, 4}};
+Physical Volume("GAS", 4) = {{1}};
+""")
+    mesh, _, tags = fe_el.mesh_geo(tmp_path / "duct.geo")
+    drop, _ = duct_drop(mesh, tags, (1, 2, 3), 2170.0, 1.3)
+    assert drop == pytest.approx(brinkman(2170.0, 3), rel=7e-3)
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("d, viscosity", [(2, 1e-2), (2, 1.0), (3, 1e-2), (3, 1.0)])
+def test_forces_on_walls_balance_momentum_to_round_off(d, viscosity):
+    """Resting, moving and slip walls, random drag and sources, from the first step on: what walls receive the fluid loses."""
+    mesh, tags = fe_el.periodic_box((1.0,) * d, (6,) * d, (True,) + (False,) * (d - 1))
+    pull = np.array([2.0] + [0.0] * (d - 1))
+    air = fe_el.VolumeAveragedNavierStokes(mesh, tags, 1.3, viscosity, tolerance=1e-12, mean_pressure_gradient=pull)
+    air.set_no_slip([3] if d == 2 else [3, 6])
+    air.set_no_slip(4, velocity=lambda t, x: np.column_stack([np.full(len(x), np.sin(3 * t))] + [0 * x[:, 0]] * (d - 1)))
+    if d == 3:
+        air.set_slip(5)
+    fields = fields_of(mesh, 1.0, 0.0)
+    x = air.corner.mean(1)
+    drag, source = 50 * np.abs(np.sin(37 * x.sum(1))) ** 5, np.sin(np.outer(x.sum(1), np.arange(11, 11 + d)))
+    n, dt = air.num_cells, 0.02
+    fields[1].x.array[:n], fields[2].x.array[:n * d] = drag, source.ravel()
+    before = air.momentum()
+    for _ in range(10):
+        air.advance(dt, fields)
+        q = air.velocity.x.array.reshape(-1, d)[:n]
+        outer = air.comm.allreduce(air.volume @ (source - drag[:, None] * q)) + pull
+        walls = sum(sum(air.boundary_force(g)) for g in range(3, 2 * d + 1))
+        after = air.momentum()
+        assert np.abs((after - before) / dt - outer + walls).max() < 1e-12
+        before = after
+
+
+@pytest.mark.parametrize("void", [1.0, 0.5])
+def test_a_moving_wall_beside_beads_moves_the_fluid_with_its_own_speed(void):
+    """Couette flow: the velocity of a wall is interstitial, whatever room beads leave; also if it is given as a function."""
+    for velocity in ((1.0, 0.0), lambda t, x: (1.0, 0.0)):
+        mesh, tags = fe_el.periodic_box((1.0, 1.0), (4, 10), periodic=(True, False))
+        fluid = fe_el.VolumeAveragedNavierStokes(mesh, tags, density=1.0, viscosity=1.0)
+        fluid.set_no_slip(4, velocity=velocity)
+        fluid.set_no_slip(3)
+        fields = fields_of(mesh, void, 0.0)
+        for _ in range(100):
+            fluid.advance(0.05, fields)
+        y, u = fluid.corner.mean(1)[:, 1], fluid.velocity.x.array.reshape(-1, 2)[:, 0]
+        assert np.abs(u - y).max() < 1e-6
+
+
+def test_a_wall_drags_along_what_a_packed_bed_holds_back():
+    """Between plates that move through a packed bed at rest the fluid in the core rests, and the force is Brinkman's."""
+    beta, mu = 400.0, 1e-3
+    mesh, tags = fe_el.periodic_box((1.0, 1.0), (4, 8), periodic=(True, False))
+    fluid = fe_el.VolumeAveragedNavierStokes(mesh, tags, density=1.0, viscosity=mu, tolerance=1e-11)
+    fluid.set_no_slip([3, 4], velocity=(1.0, 0.0))
+    fields = fields_of(mesh, 1.0, beta)
+    for _ in range(100):
+        fluid.advance(0.01, fields)
+    force = fluid.boundary_force(3)[1][0] + fluid.boundary_force(4)[1][0]
+    assert force == pytest.approx(-2 * np.sqrt(mu * beta), rel=0.03)
+    y, u = fluid.corner.mean(1)[:, 1], fluid.velocity.x.array.reshape(-1, 2)[:, 0]
+    assert np.abs(u[np.abs(y - 0.5) < 0.25]).max() < 1e-3
+
+
+def test_edges_and_corners_of_one_group_hold_in_all_their_directions():
+    """A box whose six sides are one wall: two directions at each edge, three at corners, one elsewhere; a cylinder has one."""
+    mesh, tags = fe_el.box((1.0, 1.0, 1.0), (3, 3, 3))
+    one = dmesh.meshtags(mesh, 2, tags.indices, np.ones_like(tags.values))
+    air = fe_el.VolumeAveragedNavierStokes(mesh, one)
+    air.set_no_slip(1)
+    air.advance(0.1)
+    sides = ((air.node_position < 1e-9) | (air.node_position > 1 - 1e-9)).sum(1)
+    count = np.bincount(air.slip_nodes, minlength=air.nodes)
+    assert (count[sides == 1] == 1).all() and (count[sides == 2] == 2).all() and (count[sides == 0] == 0).all()
+    assert (air.fixed == (sides == 3)).all()
+
+
+def test_spalding_is_laminar_near_the_wall_and_logarithmic_far_from_it():
+    law = fe_el.Spalding()
+    speed = np.array([0.0, 1e-6, 1.0, 20.0])
+    coefficient = law(speed, np.array([1e-3, 1e-3, 0.1, 1.0]), 1.2, 1.8e-5)
+    assert coefficient[:2] == pytest.approx(1.8e-5 / 1e-3, rel=1e-6)
+    friction = np.sqrt(coefficient[2:] * speed[2:] / 1.2)
+    plus = friction * np.array([0.1, 1.0]) * 1.2 / 1.8e-5
+    assert speed[2:] / friction == pytest.approx(np.log(plus) / 0.4 + 5.5, rel=5e-3)
+
+
+def test_a_wall_law_raises_the_friction_of_a_layer_that_the_mesh_does_not_resolve():
+    """A fast stream over a coarse mesh: the force on the wall is that of the law at the cell's velocity."""
+    forces = []
+    for law in (None, fe_el.Spalding()):
+        mesh, tags = fe_el.periodic_box((1.0, 1.0), (4, 4), periodic=(True, False))
+        air = fe_el.VolumeAveragedNavierStokes(mesh, tags, 1.0, 1e-5, tolerance=1e-11)
+        air.set_no_slip(3, law=law)
+        air.set_slip(4)
+        air.set_initial_velocity((1.0, 0.0))
+        for _ in range(5):
+            air.advance(1e-3)
+        forces.append(air.boundary_force(3)[1][0])
+    h = 0.25 / 2  # of the triangles behind the wall: half a square's height, crossed diagonals
+    expected = fe_el.Spalding()(np.ones(1), np.array([h / 3]), 1.0, 1e-5)[0]
+    assert forces == pytest.approx([4 * 1e-5 / h, expected], rel=0.05)
+
+
+@pytest.mark.ranks
+def test_the_last_condition_of_a_group_counts():
+    """A second velocity takes the place of the first, a group that became a wall lets nothing in."""
+    mesh, tags = fe_el.box((1.0, 1.0), (4, 4))
+    air = fe_el.VolumeAveragedNavierStokes(mesh, tags, 1.0, 1e-3, tolerance=1e-10)
+    air.set_velocity(1, (0.1, 0.0))
+    air.set_pressure((2,), 0.0)
+    air.set_slip((3, 4))
+    air.set_velocity(1, (0.3, 0.0))
+    air.advance(0.1)
+    assert air.momentum()[0] == pytest.approx(0.3, rel=1e-6)
+    air.set_slip(1)
+    for _ in range(3):
+        air.advance(0.1)
+    assert abs(air.momentum()[0]) < 1e-8
+
+
+@pytest.mark.ranks
+def test_bad_walls_are_refused_with_a_sentence():
+    mesh, tags = fe_el.box((1.0, 1.0), (4, 4))
+    air = fe_el.VolumeAveragedNavierStokes(mesh, tags)
+    with pytest.raises(ValueError, match="whole number"):
+        air.set_no_slip(1.5)
+    with pytest.raises(ValueError, match="no boundary group 7"):
+        air.set_no_slip((1, 7))
+    with pytest.raises(ValueError, match="leads through the wall"):
+        air.set_no_slip(1, velocity=(1.0, 0.0))
+    with pytest.raises(RuntimeError, match="advance"):
+        air.set_no_slip(1)
+        air.boundary_force(1)
+    for words, make in (("Karman", lambda: fe_el.Spalding(0.0)), ("wall law", lambda: fe_el.Spalding(constant=-1.0))):
+        with pytest.raises(ValueError, match=words):
+            make()
+    inner = dmesh.locate_entities(mesh, 1, lambda x: np.isclose(x[0], 0.5))
+    baffle = fe_el.VolumeAveragedNavierStokes(mesh, dmesh.meshtags(mesh, 1, inner, np.full(len(inner), 9, np.int32)))
+    with pytest.raises(ValueError, match="between two cells"):
+        baffle.set_no_slip(9)
