@@ -10,23 +10,25 @@ import numpy as np
 from numba import njit
 
 from fe_el.fluid.boundary_values import velocity_at
-from fe_el.fluid.for_each_dimension import FAST
+from fe_el.fluid.for_each_dimension import FAST, D, M, by_dimension
 
 STRENGTH = 4.0  # of Nitsche's penalty, enough for positive definiteness on simplices with lumped facets
 EDGE = 0.1  # square of the sine of half the angle from which two facets of a wall make an edge and not a curve
 
 
 class Facets(NamedTuple):
-    """Facets of all no-slip walls of this rank; m = d nodes each."""
+    """Facets of all no-slip walls of this rank, behind cells of m = d + 1 nodes."""
 
     cell: np.ndarray    #: owned cell behind
     local: np.ndarray   #: its vertex opposite the facet
     normal: np.ndarray  #: (facets, d) outward unit normal
     share: np.ndarray   #: area of each node [m^2]
+    height: np.ndarray  #: of the cell above the facet [m]
+    slope: np.ndarray   #: (facets, m) normal derivatives of the cell's basis functions [1/m]
 
 
 @njit(cache=True, fastmath=FAST)
-def unresolved_friction(facets, height, volume, stress, drag, coefficient, out):
+def unresolved_friction(facets, volume, stress, drag, coefficient, out):
     """Add what layers thinner than the cells add to the drag of the cells behind each facet, to ``out`` (cells,) [kg/(m^3 s)].
 
     Brinkman's layer, of thickness sqrt(mu/A), has the friction coefficient sqrt(mu A) [Pa s/m] against the velocity outside it;
@@ -36,7 +38,7 @@ def unresolved_friction(facets, height, volume, stress, drag, coefficient, out):
     """
     for f in range(len(facets.cell)):
         c, area = facets.cell[f], facets.share[f] * facets.normal.shape[1]
-        resolved = STRENGTH * stress[c] / height[f]
+        resolved = STRENGTH * stress[c] / facets.height[f]
         layer = max(np.sqrt(stress[c] * drag[c]) - resolved, 0.0)
         if layer > 0.0:
             layer /= 1.0 - layer * area / (drag[c] * volume[c])
@@ -44,58 +46,47 @@ def unresolved_friction(facets, height, volume, stress, drag, coefficient, out):
         out[c] += coefficient[f] / volume[c]
 
 
-@njit(cache=True, fastmath=FAST)
-def add_friction(dofs, place, grad, facets, height, stress, consistent, thetas, u, wall, past, values, rhs):
+@by_dimension
+def add_friction(dofs, place, facets, stress, consistent, thetas, u, wall, past, values, rhs):
     """Add -(mu du/dn, w) - (mu dw/dn, u - wall) + (C mu/h (u - wall), w), lumped, to ``values`` and ``rhs``."""
-    m, d = dofs.shape[1], facets.normal.shape[1]
-    slope = np.empty(m)
-    for f in range(len(facets.cell)):
+    for f in range(len(dofs)):
         c, n = facets.cell[f], 0
         a, t = consistent * stress[c] * facets.share[f], thetas[c]
-        held = STRENGTH * stress[c] / height[f] * facets.share[f]
-        for i in range(m):
-            slope[i] = 0.0
-            for k in range(d):
-                slope[i] += grad[c, i, k] * facets.normal[f, k]
-        for i in range(m):
-            if i == facets.local[f]:
+        held, local = STRENGTH * stress[c] / facets.height[f] * facets.share[f], facets.local[f]
+        for i in range(M):
+            if i == local:
                 continue
-            for j in range(m):
-                values[place[c, i, j]] -= t * a * slope[j]
-                values[place[c, j, i]] -= t * a * slope[j]
+            for j in range(M):
+                part = t * a * facets.slope[f, j]
+                values[place[c, i, j]] -= part
+                values[place[c, j, i]] -= part
             values[place[c, i, i]] += t * held
-            for k in range(d):
-                old, rise = u[dofs[c, i], k] - past[f, n, k], 0.0
-                for j in range(m):
-                    rise += slope[j] * u[dofs[c, j], k]
-                    rhs[dofs[c, j], k] += a * slope[j] * ((1.0 - t) * old - t * wall[f, n, k])
-                rhs[dofs[c, i], k] += (1.0 - t) * (a * rise - held * old) + t * held * wall[f, n, k]
+            for k in range(D):
+                old, rise = u[dofs[f, i], k] - past[f, n, k], 0.0
+                for j in range(M):
+                    slope = facets.slope[f, j]
+                    rise += slope * u[dofs[f, j], k]
+                    rhs[dofs[f, j], k] += a * slope * ((1.0 - t) * old - t * wall[f, n, k])
+                rhs[dofs[f, i], k] += (1.0 - t) * (a * rise - held * old) + t * held * wall[f, n, k]
             n += 1
 
 
-@njit(cache=True, fastmath=FAST)
-def friction_forces(dofs, grad, facets, height, stress, consistent, thetas, u, wall, past, new, out):
+@by_dimension
+def friction_forces(dofs, facets, stress, consistent, thetas, u, wall, past, new, out):
     """Friction of the fluid on each facet (facets, d) [N], of the same terms, for the velocities ``u`` before and ``new`` after."""
-    m, d = dofs.shape[1], facets.normal.shape[1]
-    for f in range(len(facets.cell)):
+    for f in range(len(dofs)):
         c, n = facets.cell[f], 0
-        a, t = consistent * stress[c] * facets.share[f], thetas[c]
-        held = STRENGTH * stress[c] / height[f] * facets.share[f]
-        for k in range(d):
-            rise = 0.0
-            for j in range(m):
-                slope = 0.0
-                for q in range(d):
-                    slope += grad[c, j, q] * facets.normal[f, q]
-                rise += slope * (t * new[dofs[c, j], k] + (1.0 - t) * u[dofs[c, j], k])
-            out[f, k] = -a * d * rise
-        for i in range(m):
-            if i == facets.local[f]:
-                continue
-            for k in range(d):
-                out[f, k] += held * (t * (new[dofs[c, i], k] - wall[f, n, k])
-                                     + (1.0 - t) * (u[dofs[c, i], k] - past[f, n, k]))
-            n += 1
+        a, t = consistent * stress[c] * facets.share[f] * D, thetas[c]
+        held, local = STRENGTH * stress[c] / facets.height[f] * facets.share[f], facets.local[f]
+        for k in range(D):
+            out[f, k] = 0.0
+        for i in range(M):
+            for k in range(D):
+                now, before = new[dofs[f, i], k], u[dofs[f, i], k]
+                out[f, k] -= a * facets.slope[f, i] * (t * now + (1.0 - t) * before)
+                if i != local:
+                    out[f, k] += held * (t * (now - wall[f, n, k]) + (1.0 - t) * (before - past[f, n, k]))
+            n += i != local
 
 
 def held_directions(fluid, walls):
@@ -155,8 +146,10 @@ class WallFriction:
         none = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, d)))]
         cell, local, vector = (np.concatenate(a) for a in zip(*(none + [(f.cell, f.local, f.area_normal) for f, _, _ in walls])))
         area = np.linalg.norm(vector, axis=1)
-        self.facets = Facets(cell, local, vector / area[:, None], area / d)
-        self.height = d * fluid.volume[cell] / area
+        normal = vector / area[:, None]
+        self.facets = Facets(cell, local, normal, area / d, d * fluid.volume[cell] / area,
+                             np.einsum("fik,fk->fi", fluid.gradient[cell], normal))
+        self.dofs = np.ascontiguousarray(fluid.dofs[cell])
         ends = np.cumsum([0] + [len(f.cell) for f, _, _ in walls])
         self.rows = [slice(a, b) for a, b in zip(ends, ends[1:])]
         self.changes = any(callable(v) for _, v, _ in walls)
@@ -180,13 +173,13 @@ class WallFriction:
         if self.changes:
             self.past[:] = self.velocity
             self._set_velocity(air.time)
-        self._last = (air.dofs, air.gradient, self.facets, self.height, stress, 0.0 if air.upwind else 1.0,
-                      air.theta_of(air.viscosity / air.density, dt), u, self.velocity, self.past)
-        add_friction(air.dofs, matrix.place, *self._last[1:], matrix.values, rhs)
+        self._last = (self.facets, stress, 0.0 if air.upwind else 1.0, air.theta_of(air.viscosity / air.density, dt), u,
+                      self.velocity, self.past)
+        add_friction(self.dofs, matrix.place, *self._last, matrix.values, rhs)
 
     def close(self, new):
         """Keep the forces on the facets that the solution of transport gives."""
-        friction_forces(*self._last, new, self.force)
+        friction_forces(self.dofs, *self._last, new, self.force)
 
     def in_cells(self, stress, drag, source, q):
         """Drag coefficient and source with the friction of layers that the mesh does not resolve, for velocities ``q`` before."""
@@ -197,10 +190,10 @@ class WallFriction:
                 continue
             normal, slip = self.facets.normal[rows], q[wall.cell] - self.velocity[rows].mean(1)
             speed = np.linalg.norm(slip - (slip * normal).sum(1)[:, None] * normal, axis=1)
-            self.coefficient[rows] = law(speed, self.height[rows] / (d + 1), air.density, air.viscosity)
+            self.coefficient[rows] = law(speed, self.facets.height[rows] / (d + 1), air.density, air.viscosity)
         whole = air.work.empty("drag_with_walls", air.num_cells)
         whole[:] = drag
-        unresolved_friction(self.facets, self.height, air.volume, stress, drag, self.coefficient, whole)
+        unresolved_friction(self.facets, air.volume, stress, drag, self.coefficient, whole)
         if self.moves:
             pull = self.coefficient[:, None] * self.velocity.mean(1) / air.volume[self.facets.cell, None]
             source = source.copy()
