@@ -105,14 +105,13 @@ class ParaViewOutput:
 
     def write(self, time):
         """Write the state at ``time`` [s], unless the last output is more recent than ``every``."""
-        if self.guarding:
-            self.remembered = (time, self._particle_data(), self._fluid_data())
-        if time < self.next_time - 1e-12:
-            return
         tick = time_now.perf_counter()
-        if self.every:
-            self.next_time = (time if self.next_time == -np.inf else self.next_time) + self.every
-        self._write(time, self._particle_data(), self._fluid_data())
+        if self.guarding:
+            self.remembered = (time, self._particle_data(), [f.x.array.copy() for f in self.fields])
+        if time >= self.next_time - 1e-12:
+            if self.every:
+                self.next_time = (time if self.next_time == -np.inf else self.next_time) + self.every
+            self._write(time, self._particle_data(), [f.x.array for f in self.fields])
         self.seconds["output"] += time_now.perf_counter() - tick
 
     def __enter__(self):
@@ -129,8 +128,9 @@ class ParaViewOutput:
                 print(f"The run stopped after time {time:g} s; {self.folder} has the last good state.", file=sys.stderr)
         return False
 
-    def _write(self, time, particles, fluid):
+    def _write(self, time, particles, values):
         self.written["times"].append(time)
+        fluid = self._fluid_data(values)
         if particles is not None:
             position, data = particles
             self._piece("particles", time, meshio.Mesh(position, [("vertex", np.arange(len(position)).reshape(-1, 1))],
@@ -149,14 +149,14 @@ class ParaViewOutput:
         data |= {name: a.copy() for name, a in p.properties.items() if not name.startswith("_")}
         return p.position.copy(), data
 
-    def _fluid_data(self):
-        """Copies of what is written of the fields, cell by cell; ``None`` without fields."""
+    def _fluid_data(self, arrays):
+        """What is written of the fields with these values, cell by cell; ``None`` without fields."""
         if not self.fields:
             return None
         cell_data, point_data, n = {}, {}, len(self.cells[0][1])
-        for f in self.fields:
+        for f, array in zip(self.fields, arrays):
             size, element = f.function_space.dofmap.index_map_bs, f.function_space.ufl_element()
-            values = f.x.array.reshape(-1, size)
+            values = array.reshape(-1, size)
             if size == 2:
                 values = np.column_stack([values, np.zeros(len(values))])
             values = values[:, 0] if size == 1 else values

@@ -1,10 +1,13 @@
 """Every demo, small."""
 import json
 
+import numpy as np
 import pytest
 
+import fe_el
 from demos import (
     bed_against_dpmfoam,
+    bed_runs,
     contact_speed,
     contacts_against_peers,
     contacts_only,
@@ -14,6 +17,8 @@ from demos import (
     fluid_speed,
     fluidised_bed,
     ico_foam,
+    minimum_fluidisation,
+    mri_bed,
     own_weak_form,
     sedimenting_suspension,
     stability_map,
@@ -46,6 +51,50 @@ def test_fluidised_bed_goes_on_from_a_checkpoint(folder):
         assert rest[key] == pytest.approx(whole[key], rel=1e-10)
     with pytest.raises(ValueError, match="checkpoint-every"):
         fluidised_bed.main(checkpoint_every=-1.0, output=folder, **common)
+
+
+@pytest.mark.ranks
+def test_mri_bed(tmp_path_factory):
+    """A short run writes profiles for every measured one, its ledger closed, all of its time in stages."""
+    from mpi4py import MPI
+    folder = MPI.COMM_WORLD.bcast(str(tmp_path_factory.mktemp("mri")) if MPI.COMM_WORLD.rank == 0 else None)
+    out = mri_bed.main((0.9,), ("beetstra",), end_time=0.02, average_from=0.0, time_step=1e-3, output=folder, progress=False)
+    deviations = [v for k, v in out.items() if "deviation" in k]
+    assert len(deviations) == 5 and np.isfinite(deviations).all()
+    assert out["beetstra_0.9_momentum_imbalance"] < 1e-12 and out["beetstra_0.9_solid_volume_error"] < 1e-12
+    assert out["beetstra_0.9_lost_particles"] == 0 and out["beetstra_0.9_seconds_rest"] < out["wall_time"]
+    with pytest.raises(ValueError, match="measurements at 0.9 and 0.6"):
+        mri_bed.main((0.7,), output=folder, progress=False)
+    with pytest.raises(ValueError, match="average-from"):
+        mri_bed.main((0.9,), end_time=0.5, average_from=1.0, output=folder, progress=False)
+
+
+def test_averages_of_a_uniform_lattice():
+    """Time means in boxes: the solid fraction of a regular lattice and its velocity."""
+    mesh, _ = fe_el.box((0.04, 0.01, 0.04), (4, 1, 4))
+    beads = fe_el.Particles(mesh, 1000.0)
+    side = np.arange(0.0005, 0.04, 1e-3)
+    beads.insert_at(np.array(np.meshgrid(side, side[:10], side)).reshape(3, -1).T, 1e-3, velocity=(0.0, 0.0, 0.3))
+    averages = bed_runs.Averages(beads, np.linspace(0, 0.04, 5), np.array([0.01, 0.02]), 0.01)
+    averages.add()
+    averages.add()
+    void, upward = averages.means()
+    assert void == pytest.approx(1 - np.pi / 6, abs=2e-3) and upward == pytest.approx(0.3)
+
+
+def test_ergun_of_the_column():
+    """The published numbers of CFDEM's test: 230.5 Pa at 0.02 m/s, minimum fluidisation at 0.01451 m/s, at 0.4513."""
+    height = 10_000 * np.pi / 6 * 1e-9 / (1 - 0.4513) / (np.pi * 0.01385 ** 2)
+    assert minimum_fluidisation.minimum_velocity(0.4513) == pytest.approx(0.01451, rel=2e-3)
+    assert minimum_fluidisation.ergun(0.4513, 0.02, height) == pytest.approx(230.5, rel=0.03)
+
+
+def test_minimum_fluidisation(folder):
+    """A short ramp of a shallow bed writes curve, picture and summary."""
+    out = minimum_fluidisation.main(ramp_time=0.03, settle_time=0.02, number=1500, output=folder, progress=False)
+    assert out["lost_particles"] == 0 and out["momentum_imbalance"] < 1e-12 and out["solid_volume_error"] < 1e-12
+    rows = np.genfromtxt(folder + "/curve.csv", delimiter=",", names=True)
+    assert len(rows) == 6 and rows["superficial_velocity_m_s"].max() == pytest.approx(0.024)
 
 
 @pytest.mark.ranks

@@ -1,0 +1,162 @@
+"""Pressure drop of a bed against gas velocity, up through minimum fluidisation and down again, beside Ergun's equation.
+
+CFDEMcoupling's Ergun test: 10,000 beads of 1 mm and 2000 kg/m^3 in a cylinder of 13.85 mm radius, a gas of 10 kg/m^3 and 1.5e-4 m^2/s.
+The beads are packed dry, the gas rises slowly from zero past the velocity of minimum fluidisation and falls again. A resting bed follows
+Ergun's equation at its own void fraction, a fluidised one carries its weight; U_mf is where the falling branch leaves the weight. Takes
+three minutes.
+    python demos/minimum_fluidisation.py
+"""
+import argparse
+import csv
+import logging
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from mpi4py import MPI
+
+import fe_el
+
+try:
+    import bed_runs
+except ImportError:  # imported as demos.minimum_fluidisation
+    from demos import bed_runs
+
+matplotlib.use("Agg")
+RADIUS, HEIGHT, GRAVITY = 0.01385, 0.04, 9.81
+DIAMETER, BEAD_DENSITY, GAS_DENSITY, GAS_VISCOSITY = 1e-3, 2000.0, 10.0, 10.0 * 1.5e-4
+INLET, OUTLET, WALL = 1, 2, 3
+
+
+def arguments():
+    """Command line of the demo."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--largest-velocity", type=float, default=0.024, help="superficial velocity at the turn [m/s] (0.024)")
+    p.add_argument("--ramp-time", type=float, default=1.5, help="time of each ramp [s] (1.5)")
+    p.add_argument("--settle-time", type=float, default=0.25, help="time in which the beads settle without gas [s] (0.25)")
+    p.add_argument("--number", type=int, default=10_000, help="beads (10000)")
+    p.add_argument("--cell-size", type=float, default=0.003, help="edge length of the tetrahedra [m] (0.003)")
+    p.add_argument("--time-step", type=float, default=1e-3, help="fluid time step [s] (1e-3)")
+    p.add_argument("--steps-per-contact", type=int, default=20, help="contact steps in the shortest contact (20)")
+    p.add_argument("--stiffness", type=float, default=50.0, help="contact stiffness [N/m] (50)")
+    p.add_argument("--drag", default="ergun", help="name of the drag law (ergun)")
+    p.add_argument("--seed", type=int, default=1, help="seed of the first positions (1)")
+    p.add_argument("--output", default="out/minimum_fluidisation", help="folder for results (out/minimum_fluidisation)")
+    return p
+
+
+def ergun(void, velocity, height):
+    """Pressure drop of a packed bed by Ergun's equation [Pa]."""
+    solid = 1 - void
+    return height * (150 * solid ** 2 / void ** 3 * GAS_VISCOSITY * velocity / DIAMETER ** 2
+                     + 1.75 * solid / void ** 3 * GAS_DENSITY * velocity ** 2 / DIAMETER)
+
+
+def minimum_velocity(void):
+    """Velocity at which Ergun's pressure drop is the bed's weight in the gas [m/s]."""
+    a, b = 1.75 / void ** 3 * GAS_DENSITY / DIAMETER, 150 * (1 - void) / void ** 3 * GAS_VISCOSITY / DIAMETER ** 2
+    c = (BEAD_DENSITY - GAS_DENSITY) * GRAVITY
+    return (np.sqrt(b * b + 4 * a * c) - b) / (2 * a)
+
+
+def first_positions(number, seed):
+    """Places on layers of a square lattice inside the cylinder, disturbed, shuffled with the seed."""
+    step, rng = 1.12 * DIAMETER, np.random.default_rng(seed)
+    side = np.arange(-RADIUS, RADIUS, step)
+    x, y = (a.ravel() for a in np.meshgrid(side, side))
+    keep = np.hypot(x, y) < RADIUS - 0.75 * DIAMETER
+    layers = int(np.ceil(number / keep.sum()))
+    at = np.concatenate([np.column_stack([x[keep], y[keep], np.full(keep.sum(), (k + 0.6) * step)]) for k in range(layers)])[:number]
+    return at + rng.uniform(-0.05, 0.05, at.shape) * DIAMETER
+
+
+def bed_state(beads, area):
+    """Height of the bed, and void fraction below it, from the middle nine tenths of the beads; collective."""
+    heights = beads.comm.gather(beads.position[:, 2])
+    if heights is not None:
+        z = np.sort(np.concatenate(heights))
+        low, high = z[int(0.05 * len(z))], z[int(0.95 * len(z))]
+        volume = np.pi / 6 * DIAMETER ** 3
+        void = 1 - 0.9 * len(z) * volume / (area * (high - low))
+        heights = len(z) * volume / (1 - void) / area, void
+    return beads.comm.bcast(heights)
+
+
+def main(largest_velocity=0.024, ramp_time=1.5, settle_time=0.25, number=10_000, cell_size=0.003, time_step=1e-3, steps_per_contact=20,
+         stiffness=50.0, drag="ergun", seed=1, output="out/minimum_fluidisation", progress=True):
+    """Ramp the gas up and down and return the summary."""
+    logging.getLogger().setLevel(logging.WARNING)
+    mesh, _, tags = fe_el.mesh_geo(Path(__file__).resolve().parent.parent / "meshes" / "column.geo", size=cell_size)
+    down = (0.0, 0.0, -GRAVITY)
+    beads = fe_el.Particles(mesh, BEAD_DENSITY, down)
+    beads.insert_at(first_positions(number, seed), DIAMETER)
+    law = fe_el.LinearSpringDashpot(stiffness, restitution=0.3, friction=0.5)
+    contacts = fe_el.Contacts(beads, law, walls=(tags, (WALL, INLET)), steps_per_contact=steps_per_contact)
+    for _ in range(int(np.ceil(settle_time / 5e-3))):
+        beads.advance(5e-3, contacts)
+    air = fe_el.VolumeAveragedNavierStokes(mesh, tags, GAS_DENSITY, GAS_VISCOSITY, down, tolerance=1e-9)
+
+    def speed(time):
+        return largest_velocity * (1 - abs(1 - time / ramp_time))
+    air.set_velocity(INLET, lambda time, x: (0.0, 0.0, speed(time)))
+    air.set_pressure(OUTLET, 0.0)
+    air.set_no_slip(WALL)
+    coupling = fe_el.Coupling(beads, air.velocity, air.pressure, GAS_DENSITY, GAS_VISCOSITY, [fe_el.Drag(drag), fe_el.PressureGradient()])
+    bed, rows = bed_runs.Bed(beads, contacts, air, coupling), []
+    area = mesh.comm.allreduce(beads.cells.volume[:beads.cells.owned].sum()) / HEIGHT
+
+    def each(now):
+        rows.append((now, speed(now), bed_runs.pressure_drop(air), *bed_state(beads, area)))
+    with fe_el.ParaViewOutput(output, beads, [air.velocity, air.pressure, coupling.fields[0]], ramp_time / 20) as out:
+        numbers = bed_runs.run(bed, time_step, 2 * ramp_time, out, each, 10, progress=progress)
+    weight = beads.comm.allreduce(beads.mass.sum()) * GRAVITY * (1 - GAS_DENSITY / BEAD_DENSITY) / area
+    return finish(output, beads.comm, np.array(rows), weight, ramp_time, numbers)
+
+
+def finish(output, comm, rows, weight, ramp_time, numbers):
+    """Compare with Ergun's equation and the weight; write curve, picture and summary."""
+    time, velocity, drop, height, void = rows.T
+    down, packed = time > ramp_time, (drop < 0.8 * weight) & (drop > 0.1 * weight)
+    numbers |= {"weight_per_area": weight, "pressure_drop_fluidised_over_weight": drop[velocity > 0.9 * velocity.max()].mean() / weight,
+                "void_fraction_at_start": void[0], "void_fraction_at_end": void[-1],
+                "minimum_fluidisation_velocity_by_ergun": minimum_velocity(void[-1])}
+    ratio = drop / np.maximum(ergun(void, velocity, height), 1e-300)
+    for name, branch in (("rising", packed & ~down), ("falling", packed & down)):
+        if branch.sum() > 3:  # of a resting bed the drop is a polynomial of the velocity; where it reaches the weight is U_mf
+            curve = np.polyfit(drop[branch], velocity[branch], 2)
+            numbers |= {f"drop_over_ergun_{name}": ratio[branch].mean(),
+                        f"minimum_fluidisation_velocity_{name}": float(np.polyval(curve, weight))}
+    if comm.rank == 0:
+        with open(Path(output) / "curve.csv", "w", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow(["time_s", "superficial_velocity_m_s", "pressure_drop_Pa", "bed_height_m", "void_fraction"])
+            writer.writerows(rows.tolist())
+        picture(output, rows, weight, ramp_time, numbers)
+    return fe_el.write_summary(output, comm, **numbers)
+
+
+def picture(output, rows, weight, ramp_time, numbers):
+    """PNG: pressure drop and void fraction against velocity, both ways."""
+    from matplotlib import pyplot as plt
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4.2), layout="constrained")
+    up = rows[:, 0] <= ramp_time
+    for part, colour, name in ((up, "C0", "rising"), (~up, "C3", "falling")):
+        left.plot(1e3 * rows[part, 1], rows[part, 2], colour, label=f"velocity {name}")
+        right.plot(1e3 * rows[part, 1], rows[part, 4], colour, label=f"velocity {name}")
+    u = np.linspace(0, rows[:, 1].max(), 100)
+    for void, style, name in ((numbers["void_fraction_at_start"], "k:", "first"), (numbers["void_fraction_at_end"], "k--", "last")):
+        height = rows[0, 3] * (1 - rows[0, 4]) / (1 - void)
+        left.plot(1e3 * u, ergun(void, u, height), style, lw=1, label=f"Ergun at the {name} void fraction, {void:.3f}")
+    left.axhline(weight, color="0.5", label="weight of the bed")
+    left.set(xlabel="superficial velocity [mm/s]", ylabel="pressure drop [Pa]", ylim=(0, 1.4 * weight))
+    right.set(xlabel="superficial velocity [mm/s]", ylabel="void fraction of the bed")
+    left.legend(fontsize=8)
+    figure.savefig(Path(output) / "minimum_fluidisation.png", dpi=100)
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    summary = main(**vars(arguments().parse_args()))
+    if MPI.COMM_WORLD.rank == 0:
+        for key, value in summary.items():
+            print(f"{key:42s} {value}")
