@@ -7,6 +7,7 @@ import pytest
 import fe_el
 from demos import (
     bed_against_dpmfoam,
+    bed_report,
     bed_runs,
     contact_speed,
     contacts_against_peers,
@@ -51,6 +52,15 @@ def test_fluidised_bed_goes_on_from_a_checkpoint(folder):
         assert rest[key] == pytest.approx(whole[key], rel=1e-10)
     with pytest.raises(ValueError, match="checkpoint-every"):
         fluidised_bed.main(checkpoint_every=-1.0, output=folder, **common)
+
+
+def test_report_of_the_bed(folder):
+    """Two settings, two realisations, a moment each: CSV, picture, and a recommended setting that is one of them."""
+    options = {"slice": 0.1, "end_time": 2e-2, "output": folder, "progress": False, "superficial_velocity": 1.7}
+    out = bed_report.main(options, ((1e-3, 20, 0.0075), (2e-3, 12, 0.0075)), 2)
+    rows = np.genfromtxt(folder + "/report.csv", delimiter=",", names=True)
+    assert len(rows) == 2 and (rows["lost"] == 0).all() and np.isfinite(rows["pressure_drop_error"]).all()
+    assert out["recommended_steps_per_contact"] in (12, 20)
 
 
 @pytest.mark.ranks
