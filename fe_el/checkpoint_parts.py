@@ -112,14 +112,22 @@ def set_fluid(air, state):
 
 def scalar_state(scalar):
     """The nodal values."""
-    own = scalar.fluid.owned_nodes
-    return {"nodes": (scalar.fluid.node_position[:own], {"value": scalar.value.x.array[:own]})}
+    own, values = scalar.fluid.owned_nodes, {"value": scalar.value.x.array}
+    if scalar.outside is not None:
+        values["outside"] = scalar.outside
+    return {"nodes": (scalar.fluid.node_position[:own], {name: a[:own] for name, a in values.items()})}
 
 
 def set_scalar(scalar, state):
     """Take the values back."""
-    scalar.value.x.array[:scalar.fluid.owned_nodes] = state["nodes"]["value"]
+    air, nodes = scalar.fluid, state["nodes"]
+    scalar.value.x.array[:air.owned_nodes] = nodes["value"]
     scalar.value.x.scatter_forward()
+    scalar.outside = None
+    if "outside" in nodes:
+        scalar.outside = np.zeros(air.nodes)
+        scalar.outside[:air.owned_nodes] = nodes["outside"]
+        air.node_halo.forward(scalar.outside)
 
 
 def inlet_state(inlet):

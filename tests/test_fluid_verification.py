@@ -251,6 +251,42 @@ def test_scalar_constant_stays_and_content_is_kept_while_the_void_fraction_moves
     assert np.ptp(totals) < 1e-11
 
 
+@pytest.mark.ranks
+@pytest.mark.parametrize("stabilisation", [None, fe_el.Upwind()])
+@pytest.mark.parametrize("left, right", [((1.0, 0.0), (1.0, 0.0)), ((-1.0, 0.0), 0.0), (0.5, 0.0)])
+def test_scalar_of_one_stays_one_whatever_boundary_fluid_passes(left, right, stabilisation):
+    """Velocities (vectors) and pressures (numbers) on both ends, nothing held: in and out, a constant stays a constant."""
+    mesh, tags = fe_el.box((1.0, 0.2), (12, 3))
+    air = fe_el.VolumeAveragedNavierStokes(mesh, tags, 1.0, 0.01, stabilisation=stabilisation)
+    for group, value in ((1, left), (2, right)):
+        (air.set_velocity if np.ndim(value) else air.set_pressure)(group, value)
+    air.set_slip((3, 4))
+    scalar = fe_el.Scalar(air, 1e-3, initial=1.0)
+    for _ in range(150):
+        air.advance(0.01)
+        scalar.advance(0.01)
+    assert np.abs(scalar.value.x.array - 1).max() < 1e-6
+
+
+def test_what_flows_in_has_the_value_of_the_inflow():
+    """A front of a hotter stream through a channel: the channel ends at the inflow's value, and gained what came in."""
+    mesh, tags = fe_el.box((1.0, 0.2), (20, 4))
+    air = fe_el.VolumeAveragedNavierStokes(mesh, tags, 1.0, 0.01, tolerance=1e-12)
+    air.set_velocity(1, (1.0, 0.0))
+    air.set_pressure(2, 0.0)
+    air.set_slip((3, 4))
+    air.set_initial_velocity((1.0, 0.0))
+    heat = fe_el.Scalar(air, 1e-3, initial=0.0)
+    heat.set_inflow(1, 3.0)
+    totals = []
+    for _ in range(300):
+        air.advance(0.01)
+        heat.advance(0.01)
+        totals.append(heat.total())
+    assert totals[39] - totals[9] == pytest.approx(3.0 * 0.2 * 0.3, rel=0.02)
+    assert heat.value.x.array == pytest.approx(3.0, abs=0.01)
+
+
 def orders_beside_walls(wall, viscosity, counts=(16, 32, 64)):
     """Orders in time, nodal and cell velocities, of a force that grows and turns in a closed box: steps halved twice on one mesh."""
     nodal, cell = [], []

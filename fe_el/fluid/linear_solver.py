@@ -74,6 +74,13 @@ class NodalMatrix:
         """Subtract this rank's part times u (nodes, parts) from ``out``."""
         node_kernels.subtract_product(self.starts, self.columns, self.values, u, out)
 
+    def diagonal_places(self):
+        """Entry of the diagonal for each node of this rank's cells (nodes,); zero for others."""
+        places = np.zeros(len(self.starts) - 1, np.int64)
+        at = np.flatnonzero(self._row == self.columns)
+        places[self._row[at]] = at
+        return places
+
     def diagonal(self):
         """Diagonal entries (owned nodes,) of the matrix; the same memory each time."""
         self.matrix.getDiagonal(self._diagonal)

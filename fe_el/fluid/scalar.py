@@ -15,7 +15,9 @@ class Scalar:
 
     The flux is that of the fluid's step, whose divergence is the change of the void fraction: so a constant stays constant, and
     the integral of rho phi c changes by sources and open boundaries only, both to the solver's tolerance. Time is of second
-    order where the fluid's is. With :class:`Upwind` in the fluid it never leaves the range of its start and boundaries.
+    order where the fluid's is. With :class:`Upwind` in the fluid it never leaves the range of its start and boundaries. Where fluid
+    leaves, through whatever boundary, it takes its value along; where it enters it has that of :meth:`set_inflow`, without one
+    what left there last (at the start: what is there).
 
     Args:
         fluid (VolumeAveragedNavierStokes): advance it first, then the scalar by the same step.
@@ -41,15 +43,52 @@ class Scalar:
         self.fluid, self.diffusivity, self.tolerance = fluid, float(diffusivity), tolerance
         self.value = fem.Function(fluid.space, name=name)
         self.value.x.array[:] = initial(fluid.node_position) if callable(initial) else initial
-        self.source, self.fixed, self.seconds = None, [], {name: 0.0}
+        self.source, self.fixed, self.inflow, self.seconds = None, [], [], {name: 0.0}
         self.matrix = NodalMatrix(fluid.space, fluid.dofs)
         self.solver = LinearSolver(self.matrix.matrix, name, "bcgs", "jacobi", tolerance)
-        self.name, self.work, self._held = name, WorkArrays(), None
+        self.name, self.work, self._held, self._open = name, WorkArrays(), None, None
+        self.outside = None  # (nodes,) values that come back in
 
     def set_value(self, group, value):
         """Fix the value on a boundary group: a number or a function of time."""
         self.fixed.append((self.fluid.boundary(group), value))
         self._held = None
+
+    def set_inflow(self, group, value):
+        """Value of what enters through a boundary group: a number or a function of time; fluid that leaves keeps its own."""
+        self.inflow.append((self.fluid.boundary(group), value))
+
+    def _through_boundaries(self, dt, old, rhs):
+        """What fluid takes along through open boundaries, on the nodes there: implicit in half where time is of second order.
+
+        The mass flux through a node is what its balance leaves, so a constant stays one to round-off.
+        """
+        air, work = self.fluid, self.work
+        if self._open is None or self._open[0] is not air.held:
+            mark = np.zeros(air.nodes, bool)
+            for facets, _ in (*air.inlets, *air.outlets):
+                mark[facets.nodes] = True
+            self._open = air.held, np.flatnonzero(mark), np.flatnonzero(mark[:air.owned_nodes]), self.matrix.diagonal_places()
+        _, nodes, owned, diagonal = self._open
+        if not air.comm.allreduce(len(nodes)):
+            return
+        supply, through, scale = work.empty("supply_of_mass", air.num_cells), work.zeros("through", air.nodes), work.zeros("scale", air.nodes)
+        supply[:] = air.rate
+        if air.mass_source is not None:
+            supply -= air.at_cells(air.mass_source, (air.num_cells,), air.time - 0.5 * dt)
+        supply *= air.density
+        whole = work.empty("whole", air.num_cells)
+        whole.fill(1.0)
+        kernels.mass_balance(air.dofs, air.gradient, air.volume, whole, supply, air.step_flux, through, scale)
+        air.complete(through)
+        if self.outside is None:
+            self.outside = old[:, 0].copy()
+        out, part, comes = np.maximum(through, 0.0), 0.5 if air.second_order else 1.0, self.outside
+        comes[out > 0] = old[out > 0, 0]
+        for facets, value in self.inflow:
+            comes[facets.nodes] = value(air.time) if callable(value) else value
+        self.matrix.values[diagonal[owned]] += part * out[owned]
+        rhs[nodes, 0] += (out - through)[nodes] * comes[nodes] - (1 - part) * out[nodes] * old[nodes, 0]
 
     def advance(self, dt):
         """Advance by ``dt`` [s], the step that the fluid has just made.
@@ -67,13 +106,12 @@ class Scalar:
         share, stress = work.empty("share", air.num_cells), work.empty("stress", air.num_cells)
         cell_kernels.stress_of(phi0, phi1, air.second_order, air.density * self.diffusivity, False, share, stress)
         kernels.transport_matrix(air.dofs, place, air.gradient, air.volume, air.density, stress, dt, phi1, air.rate, air.step_flux,
-                                 air.fixed_pressure, air.theta_of(self.diffusivity, dt), air.upwind, old, values, rhs)
-        for facets, _ in air.outlets:
-            kernels.open_boundary(place, facets.cell, facets.local, facets.area_normal, air.step_flux, values)
+                                 work.zeros("none", air.nodes), air.theta_of(self.diffusivity, dt), air.upwind, old, values, rhs)
         if self.source is not None:
             supply = np.multiply(air.at_cells(self.source, (air.num_cells,), middle), air.volume, out=work.empty("supply", air.num_cells))
             kernels.scatter(air.dofs, supply[:, None], rhs)
         air.complete(rhs)
+        self._through_boundaries(dt, old, rhs)
         self._solve(dt, rhs, old)
         self.seconds[self.name] += time.perf_counter() - tick
 
@@ -101,7 +139,7 @@ class Scalar:
         balance = work.zeros("balance", air.nodes, 1)
         self.matrix.subtract_product(new, balance)
         air.complete(balance)
-        node_kernels.close_transport(air.mass, load, balance, self._unmoved, dt, self._held, new, work.empty("none", air.nodes, 1))
+        node_kernels.close_transport(air.mass, load, balance, self._unmoved, dt, self._held, new, work.empty("no_correction", air.nodes, 1))
         self.value.x.array[:] = new[:, 0]
 
     def total(self):
