@@ -1,4 +1,6 @@
 """From a dolfinx mesh to plain arrays: cell geometry, neighbours and the halo of cells of other ranks."""
+import re
+import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -247,15 +249,27 @@ def read_mesh(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None):
 
 
 def mesh_geo(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None, **parameters):
-    """Mesh a gmsh ``.geo`` file with the given values of its parameters: (mesh, cell tags, facet tags)."""
+    """Mesh a gmsh ``.geo`` file with the given values of its parameters: (mesh, cell tags, facet tags).
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: for a parameter that the file does not define in ``DefineConstant``, or cells that are not simplices.
+    """
     import gmsh
     from dolfinx.io import gmshio
     if not Path(path).is_file():
         raise FileNotFoundError(f"There is no geometry file {path}; give the path of a gmsh .geo file.")
+    blocks = re.findall(r"DefineConstant\s*\[(.*?)\]", Path(path).read_text(), re.DOTALL)
+    known = sorted(set(re.findall(r"(\w+)\s*=", " ".join(blocks))))
+    for name in parameters:
+        if name not in known:
+            raise ValueError(f"{Path(path).name} has no parameter {name!r}; it has {', '.join(known) or 'none'}.")
     if comm.rank == 0:
-        numbers = [word for name, value in parameters.items() for word in ("-setnumber", name, repr(float(value)))]
-        gmsh.initialize(["fe_el", "-v", "0", *numbers])
-        gmsh.open(str(path))
+        gmsh.initialize(["fe_el", "-v", "0"])
+        with tempfile.TemporaryDirectory() as folder:  # numbers on gmsh's command line would stay in force until Python ends
+            lines = [f"{name} = {float(value)!r};\n" for name, value in parameters.items()]
+            (Path(folder) / "scene.geo").write_text("".join(lines) + f'Include "{Path(path).resolve()}";\n')
+            gmsh.open(str(Path(folder) / "scene.geo"))
         gmsh.model.mesh.generate(dimension)
     return _from_gmsh(gmsh, gmshio, comm, dimension, slices_along)
 

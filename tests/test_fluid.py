@@ -150,3 +150,33 @@ def test_a_nodal_matrix_is_the_sum_of_its_elements_with_and_without_fixed_nodes(
             assert np.allclose(y.array[~free], matrix.diagonal()[~free] * u[:own, 0][~free], atol=1e-12)
             assert (matrix.diagonal()[~free] > 0).all()
             matrix.release()
+
+
+@pytest.mark.ranks
+def test_more_fluid_than_room_for_it_is_refused_at_any_time():
+    """A ramped inlet, a mass source, and particles that displace fluid, in a closed box: a sentence at the step it happens."""
+    for name in ("ramp", "mass source", "particles"):
+        mesh, tags = fe_el.box((0.01, 0.01), (4, 4))
+        air = fe_el.VolumeAveragedNavierStokes(mesh, tags)
+        scalar, vector = fem.FunctionSpace(mesh, ("DG", 0)), fem.VectorFunctionSpace(mesh, ("DG", 0))
+        fields = fem.Function(scalar), fem.Function(scalar), fem.Function(vector)
+        fields[0].x.array[:] = 1.0
+        if name == "ramp":
+            air.set_velocity(1, fe_el.ramp((0.1, 0.0), 0.01))
+        if name == "mass source":
+            air.mass_source = lambda t, x: 1.0 if t > 2e-3 else 0.0
+        with pytest.raises(ValueError, match="domain without outlet"):
+            for k in range(6):
+                fields[0].x.array[:] = 0.9 if name == "particles" and k > 2 else 1.0
+                air.advance(1e-3, fields)
+
+
+def test_parameters_of_a_geometry_hold_for_one_mesh_and_are_checked():
+    """The next mesh has the defaults again; a misspelt name is refused."""
+    def size(**parameters):
+        mesh = fe_el.mesh_geo("meshes/hopper.geo", **parameters)[0]
+        return mesh.topology.index_map(3).size_local, mesh.geometry.x[:, 0].max()
+    first, other = size(), size(width=0.2, size=0.012)
+    assert size() == first and other[1] == pytest.approx(0.2)
+    with pytest.raises(ValueError, match="widht.*bin, cone"):
+        size(widht=0.3)

@@ -147,3 +147,16 @@ def test_fluid_and_particles_never_import_each_other():
         for file in (root / folder).glob("*.py"):
             text = file.read_text()
             assert f"fe_el.{other}" not in text and f"fe_el import {other}" not in text, file
+
+
+@pytest.mark.ranks
+def test_a_scene_may_start_empty():
+    """The first beads come after some steps with contacts."""
+    mesh, tags = fe_el.box((0.01, 0.01, 0.02), (3, 3, 6))
+    beads = fe_el.Particles(mesh, 2500.0, (0, 0, -9.81))
+    contacts = fe_el.Contacts(beads, fe_el.LinearSpringDashpot(500.0, 0.9, 0.3), (tags, (1, 2, 3, 4, 5)))
+    inlet = fe_el.Inlet(beads, tags, 6, 1e-3, 1e-3, (0, 0, -0.1))
+    for _ in range(20):
+        inlet.advance(1e-4)
+        beads.advance(1e-4, contacts)
+    assert beads.total_number >= 1

@@ -30,3 +30,13 @@ def supply_of(rate, rate0, part, supply):
     """rate + part (rate - rate0)."""
     for c in range(len(rate)):
         supply[c] = rate[c] + part * (rate[c] - rate0[c])
+
+
+@njit(cache=True)
+def totals(values, volume):
+    """Integral of cell values, and that of their size."""
+    total, size = 0.0, 0.0
+    for c in range(len(values)):
+        total += values[c] * volume[c]
+        size += abs(values[c]) * volume[c]
+    return total, size

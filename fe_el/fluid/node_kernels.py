@@ -229,3 +229,17 @@ def impose(u, slip, normal, held, boundary):
     for i in held:
         for k in range(u.shape[1]):
             u[i, k] = boundary[i, k]
+
+
+@njit(cache=True)
+def pass_boundaries(nodes, owned, places, through, old, outside, part, values, rhs):
+    """What leaves through boundary nodes takes their value along, ``part`` of it implicit; what enters has the value ``outside``,
+    which becomes that of what leaves. Entries of the matrix of owned nodes lie at ``places``."""
+    for i in nodes:
+        if through[i] > 0.0:
+            outside[i] = old[i, 0]
+            rhs[i, 0] -= (1.0 - part) * through[i] * old[i, 0]
+            if i < owned:
+                values[places[i]] += part * through[i]
+        else:
+            rhs[i, 0] -= through[i] * outside[i]

@@ -68,27 +68,24 @@ class Scalar:
             mark = np.zeros(air.nodes, bool)
             for facets, _ in (*air.inlets, *air.outlets):
                 mark[facets.nodes] = True
-            self._open = air.held, np.flatnonzero(mark), np.flatnonzero(mark[:air.owned_nodes]), self.matrix.diagonal_places()
-        _, nodes, owned, diagonal = self._open
-        if not air.comm.allreduce(len(nodes)):
+            self._open = air.held, np.flatnonzero(mark), self.matrix.diagonal_places()
+            self.whole = np.ones(air.num_cells)
+        _, nodes, places = self._open
+        if not (air.inlets or air.outlets):
             return
         supply, through, scale = work.empty("supply_of_mass", air.num_cells), work.zeros("through", air.nodes), work.zeros("scale", air.nodes)
         supply[:] = air.rate
         if air.mass_source is not None:
             supply -= air.at_cells(air.mass_source, (air.num_cells,), air.time - 0.5 * dt)
         supply *= air.density
-        whole = work.empty("whole", air.num_cells)
-        whole.fill(1.0)
-        kernels.mass_balance(air.dofs, air.gradient, air.volume, whole, supply, air.step_flux, through, scale)
+        kernels.mass_balance(air.dofs, air.gradient, air.volume, self.whole, supply, air.step_flux, through, scale)
         air.complete(through)
         if self.outside is None:
             self.outside = old[:, 0].copy()
-        out, part, comes = np.maximum(through, 0.0), 0.5 if air.second_order else 1.0, self.outside
-        comes[out > 0] = old[out > 0, 0]
         for facets, value in self.inflow:
-            comes[facets.nodes] = value(air.time) if callable(value) else value
-        self.matrix.values[diagonal[owned]] += part * out[owned]
-        rhs[nodes, 0] += (out - through)[nodes] * comes[nodes] - (1 - part) * out[nodes] * old[nodes, 0]
+            self.outside[facets.nodes] = value(air.time) if callable(value) else value
+        node_kernels.pass_boundaries(nodes, air.owned_nodes, places, through, old, self.outside, 0.5 if air.second_order else 1.0,
+                                     self.matrix.values, rhs)
 
     def advance(self, dt):
         """Advance by ``dt`` [s], the step that the fluid has just made.

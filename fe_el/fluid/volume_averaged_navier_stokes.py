@@ -102,14 +102,11 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         """Matrices, solvers and fixed nodes, once the boundary conditions are known."""
         self.ready = True
         self._transport = NodalMatrix(self.space, self.dofs)
-        closed = not self.outlets
         self.transport_solver = LinearSolver(self._transport.matrix, "transport", "bcgs", "jacobi", self.tolerance)
         self._hold_nodes()
         self._thetas, self._steady_inflow, self._closed_flux = {}, None, None
         self.pressure_equation = PressureEquation(self)
         self.boundary_velocity, self._values_set = np.zeros((self.nodes, self.dimension)), False
-        if closed:
-            self.check_inflow()
 
     # -- one step ------------------------------------------------------------------------------------------------------
 
@@ -188,6 +185,8 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
                                 body, nodal, self._correction, transported, q, diagonal, weight, rhs)
         self.inflow = self.inflow_at(self.time)
         rhs += self.inflow
+        if not self.outlets:
+            self.check_closed(dt)
         self.pressure_equation.solve(weight, rhs)
         change = work.other("force", self.force, self.nodes, d)
         change.fill(0.0)

@@ -110,8 +110,9 @@ class Contacts:
     def advance(self, dt):
         """Advance the particles by ``dt`` [s] in velocity Verlet sub-steps."""
         p = self.particles
-        if p.next_id and not p.total_number:
-            return  # all have left
+        if not p.total_number:
+            self.steps_last = 0
+            return  # none have come yet, or all have left
         self.steps_last = max(int(np.ceil(dt / self.step_limit() - 1e-9)), 1)
         h, done = dt / self.steps_last, 0
         self.wall_impulse = np.zeros((max(len(self.walls), 1), 3))
