@@ -29,7 +29,8 @@ def set_particles(p, state):
     mine = mine[np.argsort(rows["id"][mine], kind="stable")]
     own, _ = p.arrays()
     for name, a in own.items():
-        setattr(p, name, np.ascontiguousarray(rows[name][mine].astype(a.dtype)))
+        values = rows[name][mine] if name in rows else np.zeros((len(mine), *a.shape[1:]))  # a file of an older version
+        setattr(p, name, np.ascontiguousarray(values.astype(a.dtype)))
     p.cell = cell[mine].astype(np.int32)
     p.properties = {name[9:]: a[mine] for name, a in rows.items() if name.startswith("property:")}
     p.next_id, p.step, p.left = (int(same[k]) for k in ("next_id", "step", "left"))

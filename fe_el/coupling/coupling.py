@@ -1,4 +1,5 @@
 """Two-way coupling: particles to three cell fields, and the impulse the fluid really gave back to them."""
+import math
 import time
 
 import numpy as np
@@ -11,7 +12,7 @@ from fe_el.coupling.forces import FORCES
 from fe_el.coupling.over_filled import Spill
 from fe_el.coupling.schemes import Exchange, scheme_of
 from fe_el.coupling.smoothing import FixedValues
-from fe_el.exchange import raise_everywhere
+from fe_el.exchange import largest_of, raise_everywhere
 
 
 class Coupling:
@@ -23,7 +24,8 @@ class Coupling:
 
     Args:
         particles (Particles): the particles.
-        velocity: the fluid's interstitial velocity, a vector Function or UFL expression [m/s].
+        velocity: the fluid's interstitial velocity, a vector Function or UFL expression [m/s]. Of a fluid that particles do not
+            change, set by the script: that of the middle of the step.
         pressure: its pressure, of the middle of the step, a Function or UFL expression [Pa].
         fluid_density, fluid_viscosity (float): [kg/m^3], [Pa s].
         forces: list of :class:`Drag`, :class:`PressureGradient`, :class:`ViscousStress`, :class:`Buoyancy`.
@@ -34,8 +36,9 @@ class Coupling:
         fluid_velocity (str): velocity at the particle: ``cell`` means, or ``linear`` interpolation between vertices; the
             difference of the two lags by a step, and momentum stays exact.
         largest_solid_fraction (float): cells that hold more hand the excess to their neighbours, conservatively.
-        positions (str): the particles' positions that are mapped: of the ``start`` of the step, or of its ``middle``, where their
-            velocities take them; the latter is more accurate with :class:`SubCycled`, and less without.
+        positions (str): the particles' positions that are mapped: of the ``start`` of the step, or of its ``middle``; absent: of
+            the middle, but earlier where a fluid answers in one step of a Courant number above 1 and makes larger errors itself,
+            from 4 on of the start.
         mean_velocity: mean of the velocity that drag acted on in the step, for a fluid that makes several of its own (as
             :class:`SubCycled`, with its mean pressure for ``pressure``); absent: ``velocity``.
 
@@ -55,7 +58,7 @@ class Coupling:
 
     def __init__(self, particles, velocity, pressure, fluid_density, fluid_viscosity, forces, scheme="conservative",
                  mapping="satellite_points", smoothing=None, fluid_velocity="cell", largest_solid_fraction=0.74,
-                 positions="start", mean_velocity=None):
+                 positions=None, mean_velocity=None):
         for name, value in (("fluid density", fluid_density), ("fluid viscosity", fluid_viscosity)):
             if not (value > 0 and np.isfinite(value)):
                 raise ValueError(f"The {name} is {value}; it must be finite and greater than zero.")
@@ -63,15 +66,16 @@ class Coupling:
             raise ValueError(f"largest_solid_fraction is {largest_solid_fraction}; it must be between 0 and 1.")
         if fluid_velocity not in ("cell", "linear"):
             raise ValueError(f"fluid_velocity is {fluid_velocity!r}; use 'cell' or 'linear'.")
-        if positions not in ("start", "middle"):
-            raise ValueError(f"positions is {positions!r}; use 'start' or 'middle'.")
+        if positions not in (None, "start", "middle"):
+            raise ValueError(f"positions is {positions!r}; use 'start' or 'middle', or leave it out.")
         unknown = [f for f in forces if not isinstance(f, FORCES)]
         if unknown:
             raise ValueError(f"{unknown[0]!r} is no force; forces are Drag(law), PressureGradient(), ViscousStress() and "
                              "Buoyancy().")
         self.particles, self.comm, mesh = particles, particles.comm, particles.mesh
         self.density, self.viscosity, self.largest = fluid_density, fluid_viscosity, largest_solid_fraction
-        self.dimension, self.ahead = mesh.topology.dim, 0.5 if positions == "middle" else 0.0
+        self.dimension, self.answers = mesh.topology.dim, False  # whether the fluid changed in the last step
+        self.ahead = {"start": 0.0, "middle": 0.5, None: None if mean_velocity is None else 0.5}[positions]
         d = self.dimension
         self.drag, self.pressure_force, viscous, self.buoyancy = (
             next((f for f in forces if isinstance(f, kind)), None) for kind in FORCES)
@@ -91,7 +95,7 @@ class Coupling:
         self.seconds = {"mapping": 0.0, "drag": 0.0}
         if smoothing is not None:
             self.seconds["smoothing"] = 0.0
-        self._kept = None
+        self._kept = self._mapped = None
         self.over_filled, self.over_filled_total, self.solid_volume_error = 0, 0, 0.0
         self.momentum_imbalance, self.max_solid_fraction = 0.0, 0.0
 
@@ -105,7 +109,49 @@ class Coupling:
         """
         tick = self._begin()
         p = self.particles
-        self.position_cell, position = p.located(self.ahead * dt)
+        self.cell_velocity = self.velocity_mean().copy()
+        if not self._as_before():
+            self._map(dt)
+        self._end("mapping", tick)
+        tick = self._begin()
+        self.explicit_reaction = np.zeros((len(p), self.dimension))
+        if self.stress_mean is not None:
+            stress = self._gather(self._back(self.stress_mean(self.cell_velocity)))
+            self.explicit_reaction = p.volume[:, None] * stress
+        if self.drag is not None:
+            self._drag_fields(dt)
+        elif self.stress_mean is not None:
+            self._set(2, -self._to_cells(self.explicit_reaction))
+        self._end("drag", tick)
+
+    def _as_before(self):
+        """Whether all particles are held and where they were when they were mapped."""
+        p, same = self.particles, False
+        if not p.all_held():
+            self._mapped = None
+            return False
+        now = p.cells, p.position, p.diameter
+        if self._mapped is not None:
+            same = self._mapped[0] is now[0] and all(np.array_equal(a, b) for a, b in zip(self._mapped[1:], now[1:]))
+        self._mapped = p.cells, p.position.copy(), p.diameter.copy()
+        return self.comm.allreduce(int(same)) == self.comm.size
+
+    def _share_ahead(self, dt):
+        """Share of the step after which places are taken; see ``positions``."""
+        if self.ahead is not None:
+            return self.ahead
+        if not self.answers:
+            return 0.5
+        cells, d = self.particles.cells, self.dimension
+        volume = cells.volume[:cells.owned] / (self.particles.thickness if d == 2 else 1.0)
+        speed = np.sqrt((self.cell_velocity ** 2).sum(1))
+        courant = dt * (speed / (math.factorial(d) * volume) ** (1 / d)).max(initial=0.0)
+        return 0.5 * float(np.clip((4 - largest_of(self.comm, courant)[0]) / 3, 0.0, 1.0))
+
+    def _map(self, dt):
+        """Shares of the cells in every particle, and the void fraction."""
+        p = self.particles
+        self.position_cell, position = p.located(self._share_ahead(dt) * dt)
         self.mapping.prepare(p.cells, self.position_cell, position, 0.5 * p.diameter)
         if self.linear is not None:
             self.linear.prepare(p.cells, self.position_cell, position, 0.5 * p.diameter)
@@ -116,22 +162,11 @@ class Coupling:
         self.solid = self.spill(content)[:, :1] / p.cells.volume[:, None]
         self._solid_ledger()
         self._set(0, 1 - self.solid)
-        self._end("mapping", tick)
-        tick = self._begin()
-        self.explicit_reaction = np.zeros((len(p), self.dimension))
-        if self.stress_mean is not None:
-            stress = self._gather(self._back(self.stress_mean(self.velocity_mean())))
-            self.explicit_reaction = p.volume[:, None] * stress
-        if self.drag is not None:
-            self._drag_fields(dt)
-        elif self.stress_mean is not None:
-            self._set(2, -self._to_cells(self.explicit_reaction))
-        self._end("drag", tick)
 
     def _drag_fields(self, dt):
         """A and B from the drag of each particle over the coming step."""
         p, d = self.particles, self.dimension
-        cell_velocity = self.velocity_mean()
+        cell_velocity = self.cell_velocity
         smooth = self._old_velocity(cell_velocity)
         mean = self._gather(smooth)
         offset = np.zeros_like(mean)
@@ -142,8 +177,9 @@ class Coupling:
         slip = np.linalg.norm(mean + offset - p.velocity[:, :d], axis=1)
         beta = self._coefficient(self._gather(self.solid)[:, 0], slip)
         column, n = beta[:, None], p.cells.owned
-        exchange = Exchange(dt, p.volume[:, None], p.density[:, None], p.velocity[:, :d], self._acceleration(), column,
-                            mean + offset, offset, self._to_cells, lambda q: self._deposit(q)[:n], cell_velocity,
+        density = np.where(p.held, np.inf, p.density)[:, None]
+        exchange = Exchange(dt, p.volume[:, None], density, p.velocity[:, :d], self._acceleration(), column, mean + offset,
+                            offset, self._to_cells, lambda q: self._deposit(q)[:n], cell_velocity,
                             self.fixed or (lambda field, filled: field))
         a, b = self.scheme.fields(exchange)
         if self.stress_mean is not None:
@@ -173,7 +209,7 @@ class Coupling:
         other = self._steady_force() + self.explicit_reaction
         if "_pressure_gradient" in p.properties:
             other = other - p.volume[:, None] * p.properties["_pressure_gradient"]
-        return p.gravity[:d] + (p.mean_contact_force[:, :d] + other) / p.mass[:, None]
+        return np.where(p.held[:, None], 0.0, p.gravity[:d] + (p.mean_contact_force[:, :d] + other) / p.mass[:, None])
 
     def _steady_force(self):
         """(particles, d) forces that need no field: mean pressure gradient and buoyancy."""
@@ -198,13 +234,17 @@ class Coupling:
         force, volume = self.explicit_reaction.copy(), self._owned_volume()
         a, b = self.fields[1].x.array[:len(volume), None], self.fields[2].x.array.reshape(-1, d)[:len(volume)]
         u = self.step_mean()
+        if self.ahead is None:
+            self.answers = self.comm.allreduce(int(not np.array_equal(u, self.cell_velocity))) > 0
         received = (volume * (b - a * u)).sum(0)
+        p.relaxation_rate = np.zeros(len(p))
         slope = self.gradient_mean() if self.pressure_force is not None else np.zeros((len(volume), 0))
         back = self._back(np.hstack([u, slope]))
         self._kept = (u.copy(), back[:, :d]) if not self.spill.moves else None
         at_particles = self._gather(back)
         if self.drag is not None:
             force += self.scheme.force(at_particles[:, :d])
+            p.relaxation_rate[:] = self.scheme.relaxation_rate
         if self.pressure_force is not None:
             force -= p.volume[:, None] * at_particles[:, d:]
             received += (volume * (1 - self.fields[0].x.array[:len(volume), None]) * slope).sum(0)

@@ -14,7 +14,7 @@ class Exchange(NamedTuple):
 
     dt: float
     volume: np.ndarray        #: (particles, 1) [m^3]
-    density: np.ndarray       #: (particles, 1) [kg/m^3]
+    density: np.ndarray       #: (particles, 1) [kg/m^3], infinite for a particle that is held
     velocity: np.ndarray      #: (particles, d) particle velocity [m/s]
     acceleration: np.ndarray  #: (particles, d) by everything but drag [m/s^2]
     beta: np.ndarray          #: (particles, 1) drag coefficient per particle volume [kg/(m^3 s)]
@@ -32,18 +32,20 @@ class Conservative:
     dv/dt = g_i + (beta_i / rho_p) (u - v) with constant u and g_i (all but drag) has the drag impulse V_i beta'_i dt (u - v*_i)
     with a_i = dt beta_i / rho_p, beta'_i = rho_p (1 - exp(-a_i)) / dt and v*_i = v_i + g_i dt (1 / (1 - exp(-a_i)) - 1 / a_i).
     So A_j = sum w_ij V_i beta'_i / V_j, B_j = sum w_ij V_i beta'_i v*_i / V_j, and particle i then receives exactly
-    V_i beta'_i (sum_j w_ij u_j - v*_i) with the new u. The settling velocity is exact at any step.
+    V_i beta'_i (sum_j w_ij u_j - v*_i) with the new u. The settling velocity is exact at any step, and so is the drag on a
+    particle that is held, whose beta'_i is beta_i.
     """
 
     def fields(self, x):
         """A (cells, 1) and B (cells, d)."""
         a = x.dt * x.beta / x.density
-        part = -np.expm1(-a)
-        self.rate = x.volume * x.density * part / x.dt
         small = a < 1e-3
         safe = np.where(small, 1.0, a)
-        lag = np.where(small, 0.5 + a / 12, 1 / np.where(small, 1.0, part) - 1 / safe)
+        part = -np.expm1(-safe)
+        self.rate = x.volume * x.beta * np.where(small, 1 - a / 2 + a * a / 6, part / safe)
+        lag = np.where(small, 0.5 + a / 12, 1 / part - 1 / safe)
         self.target = x.velocity + x.dt * lag * x.acceleration - x.offset
+        self.relaxation_rate = a[:, 0] / x.dt
         out = x.to_cells(np.hstack([self.rate, self.rate * self.target]))
         return out[:, :1], out[:, 1:]
 
@@ -54,6 +56,8 @@ class Conservative:
 
 class Explicit:
     """Drag from the old velocities: A = 0, B = -sum w F_i / V. Unstable beyond 2 tau_f at the largest local solid fraction."""
+
+    relaxation_rate = 0.0  # the force is constant over the step
 
     def fields(self, x):
         """A (cells, 1) and B (cells, d)."""

@@ -48,6 +48,10 @@ class ContactLists:
         size = np.ptp(self.particles.position, 0).max(initial=0.0) if len(self.particles) else 0.0
         return float((np.linalg.norm(moving[:, 3:6], axis=1) + np.linalg.norm(moving[:, 6:], axis=1) * size).max())
 
+    def has_moving_shapes(self):
+        """Whether a plane or cylinder moves."""
+        return bool(self.motion[self.kind != FACETS, 3:].any())
+
     def pack(self, external):
         """Positions, and rows of state and of forces, of owned and ghost particles; the same memory until renewed."""
         p = self.particles
@@ -79,7 +83,7 @@ class ContactLists:
             self.ghosts.free()
         self.ghosts = Ghosts(comm, p.position, largest + self.skin, p.period)
         x, pairs = self._pairs()
-        self.radius, self.inverse_mass = self.ghosts.grow(p.diameter / 2), self.ghosts.grow(1 / p.mass)
+        self.radius, self.inverse_mass = self.ghosts.grow(p.diameter / 2), self.ghosts.grow(np.where(p.held, 0.0, 1 / p.mass))
         self.ids, self.material = self.ghosts.grow(p.id), self.ghosts.grow(p.material).view(np.uint32)
         self.x, (self.state, self.force) = np.empty((len(self.radius), 3)), (aligned(len(self.radius), 8) for _ in range(2))
         self.state[:, 0], self.state[:, 7] = self.radius, self.inverse_mass / self.radius
@@ -175,6 +179,10 @@ class ContactLists:
         x = self.ghosts.grow(p.position)
         x[n:] += self.ghosts.shift
         first, second = neighbours.neighbour_pairs(x, self.ghosts.grow(p.diameter / 2), n, self.skin)
+        held = self.ghosts.grow(p.held)
+        if held.any():  # two that are held have no reduced mass
+            free = ~(held[first] & held[second])
+            first, second = first[free], second[free]
         used = np.zeros(len(x), bool)
         used[:n] = True
         used[second] = True
@@ -195,10 +203,10 @@ class ContactLists:
         self.wall_particle = self.wall_facet = self.shape_particle = self.shape_wall = empty
         if self.facets is not None:
             near = _walls.wall_list(x, self.radius, p.cell, self.skin, *self._candidates, self.facets[0], self.balls)
-            self.wall_particle, self.wall_facet = (a.view(np.uint32) for a in near)
+            self.wall_particle, self.wall_facet = (a[~p.held[near[0]]].view(np.uint32) for a in near)
         if self.has_shapes:
             near = shape_list(x, self.radius, n, self.skin, self.kind, self.shape, self.motion)
-            self.shape_particle, self.shape_wall = (a.view(np.uint32) for a in near)
+            self.shape_particle, self.shape_wall = (a[~p.held[near[0]]].view(np.uint32) for a in near)
         self.scratch = _walls.scratch(self.wall_particle)
         self.wall_gap = _walls.wall_gaps(x, self.radius, self.wall_particle, self.wall_facet, self.facet_rows[0])
         self.listed, self.wall_listed = (np.empty(len(a) + 1, np.uint32) for a in (self.gap, self.wall_gap))

@@ -110,9 +110,9 @@ class Contacts:
     def advance(self, dt):
         """Advance the particles by ``dt`` [s] in velocity Verlet sub-steps."""
         p = self.particles
-        if not p.total_number:
+        if not p.total_number or p.all_held() and not self.lists.has_moving_shapes():
             self.steps_last = 0
-            return  # none have come yet, or all have left
+            return  # none have come yet, all have left, or nothing can move
         self.steps_last = max(int(np.ceil(dt / self.step_limit() - 1e-9)), 1)
         h, done = dt / self.steps_last, 0
         self.wall_impulse = np.zeros((max(len(self.walls), 1), 3))
@@ -122,16 +122,32 @@ class Contacts:
         elif self.stale:
             self._rebuild(h)
         p.properties["_start_velocity"] = p.velocity.copy()
+        self._drive(dt)
         while done < self.steps_last:
             tick = time.perf_counter()
             done += self._run(h, self.steps_last - done)
             self.seconds["contacts"] += time.perf_counter() - tick
             if done < self.steps_last:
                 self._rebuild(h)
-        external = p.mass[:, None] * p.gravity + p.force
-        p.mean_contact_force = motion.mean_force(p.velocity, p.properties.pop("_start_velocity"), p.mass, external, dt)
+        del p.properties["_external"], p.properties["_fading"]
+        p.mean_contact_force = motion.mean_force(p.velocity, p.properties.pop("_start_velocity"), p.mass, self._external(), dt)
         for wall, impulse in zip(self.walls, p.comm.allreduce(self.wall_impulse)):
             wall.force = impulse * h / dt
+
+    def _external(self):
+        """(particles, 3) force by all but contacts, of what is not held [N]."""
+        p = self.particles
+        return np.where(p.held[:, None], 0.0, p.mass[:, None] * p.gravity + p.force)
+
+    def _drive(self, dt):
+        """What moves the particles besides contacts, in every sub-step of the step; it travels with them."""
+        p = self.particles
+        self.fades = int(largest_of(p.comm, p.relaxation_rate.max(initial=0.0))[0] > 0)
+        rows = self._external(), np.zeros((len(p), 4 * self.fades))
+        if self.fades:
+            rows = motion.forces_in_step(p.position, p.force, p.mean_contact_force, p.mass, p.gravity, p.relaxation_rate,
+                                         p.held, dt, self.steps_last)
+        p.properties["_external"], p.properties["_fading"] = rows
 
     def _rebuild(self, h):
         tick = time.perf_counter()
@@ -146,25 +162,27 @@ class Contacts:
     def _run(self, h, most):
         """Sub-steps until the neighbour list is out of date (``stale``), at most ``most``; returns how many."""
         p, n, lists = self.particles, len(self.particles), self.lists
-        external = p.mass[:, None] * p.gravity + p.force
-        x, state, force = lists.pack(external)
-        drift = external, 10.0 / (p.mass * p.diameter ** 2), lists.x0
+        external, fading = p.properties["_external"], p.properties["_fading"][:n * self.fades]
+        x, state, force = lists.pack(external + fading[:, :3] if self.fades else external)
+        drift = external, np.where(p.held, 0.0, 10.0 / (p.mass * p.diameter ** 2)), lists.x0, fading
         steps = self._steps(h, most, drift) if isinstance(self.law, ArrayLaw) else self._compiled_steps(h, most, drift)
         self._check_behind()
         self._check_finite(x[:n], force)
         motion.kick(state, force, lists.inverse_mass, drift[1], 0.5 * h, n)
         p.position, p.velocity, p.angular_velocity = x[:n].copy(), state[:n, 1:4].copy(), state[:n, 4:7].copy()
         p.contact_force, p.contact_torque = force[:n, :3] - external, force[:n, 4:7].copy()
+        if self.fades:
+            p.contact_force -= fading[:, :3]
         return steps
 
     def _steps(self, h, most, drift):
         """Sub-steps with any law."""
         lists, part, steps, wall_speed = self.lists, 0.5, 0, self.lists.wall_speed()
         x, state, force = lists.x, lists.state, lists.force
-        external, inverse_inertia, x0 = drift
+        x0 = drift[2]
         self.stale = False
         while steps < most and not self.stale:
-            moved, _, _ = motion.kick_and_drift(x, state, force, external, lists.inverse_mass, inverse_inertia, x0, part, h, 0, len(x0))
+            moved, _, _ = motion.drift_on(x, state, force, lists.inverse_mass, drift, part, h, 0, len(x0))
             part, steps = 1.0, steps + 1
             lists.ghosts.forward_state(x, state)
             force[len(x0):] = 0.0

@@ -1,8 +1,52 @@
-"""Kicks and drifts of a sub-step, on the rows of :mod:`fe_el.particles.pair_forces`."""
+"""Free flight, and kicks and drifts of a sub-step, on the rows of :mod:`fe_el.particles.pair_forces`.
+
+Velocities that relax, dv/dt = k (target - v), take their positions along: over h with a = k h the velocity changes by
+dv = (1 - exp(-a)) (target - v), and the position by h (v + lag dv), lag = 1 / (1 - exp(-a)) - 1 / a: from 1/2 for a constant
+force to 1 for what follows the fluid.
+"""
+import math
+
 import numpy as np
 from numba import njit
 
 from fe_el.particles.law_kernels import FAST
+
+
+@njit(cache=True)
+def lag(a):
+    """1 / (1 - exp(-a)) - 1 / a, for a of zero or more."""
+    return 0.5 + a / 12 if a < 1e-3 else -1 / math.expm1(-a) - 1 / a
+
+
+@njit(cache=True)
+def free_flight(position, velocity, force, mass, gravity, rate, held, dt):
+    """A step without contacts: v += dt (g + F/m), along the relaxation that gives this change."""
+    for i in range(len(position)):
+        if held[i]:
+            continue
+        late = lag(rate[i] * dt)
+        for k in range(3):
+            change = dt * (gravity[k] + force[i, k] / mass[i])
+            position[i, k] += dt * (velocity[i, k] + late * change)
+            velocity[i, k] += change
+
+
+@njit(cache=True)
+def way_ahead(velocity, force, contact_force, mass, gravity, rate, held, half):
+    """Displacements (particles, 3) in the first half of a step, from velocity and acceleration of the last step.
+
+    The velocity is that of its end for a constant force, of its middle for what follows the fluid. Of the way that the
+    acceleration adds half is taken: the rest makes up for most of the error of a fluid velocity that is held over the step.
+    """
+    way = np.zeros_like(velocity)
+    for i in range(len(velocity)):
+        if held[i]:
+            continue
+        late = (lag(rate[i] * 2 * half) - 0.25) * half
+        for k in range(3):
+            acceleration = gravity[k] + (force[i, k] + contact_force[i, k]) / mass[i]
+            way[i, k] = half * (velocity[i, k] + late * acceleration)
+    return way
 
 
 @njit(cache=True, fastmath=FAST)
@@ -39,6 +83,68 @@ def kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0,
         if not s <= largest:
             largest = s
     return largest, fastest, hardest
+
+
+@njit(cache=True, fastmath=FAST)
+def kick_and_drift_fading(x, state, force, external, inverse_mass, inverse_inertia, x0, fading, part, h, begin, end):
+    """The same, with a part of the external force that fades; see :func:`forces_in_step`."""
+    largest, fastest, hardest = 0.0, 0.0, 0.0
+    for i in range(begin, end):
+        a, b, s, v, c, kept = part * h * inverse_mass[i], part * h * inverse_inertia[i], 0.0, 0.0, 0.0, fading[i, 3]
+        for k in range(3):
+            c += a * force[i, k] * (a * force[i, k])
+            state[i, 1 + k] += a * force[i, k]
+            state[i, 4 + k] += b * force[i, 4 + k]
+            x[i, k] += h * state[i, 1 + k]
+            fading[i, k] *= kept
+            force[i, k] = external[i, k] + fading[i, k]
+            force[i, 4 + k] = 0.0
+            q = x[i, k] - x0[i, k]
+            s += q * q
+            v += state[i, 1 + k] * state[i, 1 + k]
+        force[i, 3] = force[i, 7] = 0.0
+        fastest, hardest = max(v, fastest), max(c, hardest)
+        if not s <= largest:
+            largest = s
+    return largest, fastest, hardest
+
+
+@njit(cache=True)
+def drift_on(x, state, force, inverse_mass, drift, part, h, begin, end):
+    """A sub-step's kick and drift, with an external force that is constant, or with a part that fades."""
+    external, inverse_inertia, x0, fading = drift
+    if len(fading):
+        return kick_and_drift_fading(x, state, force, external, inverse_mass, inverse_inertia, x0, fading, part, h, begin, end)
+    return kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0, part, h, begin, end)
+
+
+@njit(cache=True)
+def forces_in_step(position, force, contact_force, mass, gravity, rate, held, dt, steps):
+    """The impulse of gravity and ``force`` over a step, given to sub-steps such that velocities follow their relaxation.
+
+    With A the acceleration by gravity and ``force``, and C the contact force of the last step, particles are expected to change
+    their velocity by dt (A + C/m): this part of the force fades like exp(-k t) over the step, -C is constant. So without
+    contacts velocities and positions at the end are those of :func:`free_flight`, a particle that contacts hold at rest feels a
+    constant force, and the impulse over the step is dt (m g + F) whatever happens in it. Positions are shifted by what the
+    sub-steps' splitting leaves out.
+
+    Returns:
+        (particles, 3) the constant part [N], and (particles, 4) the fading one, of now [N], and its factor from one sub-step to
+        the next.
+    """
+    constant, fading, h = np.zeros_like(position), np.ones((len(position), 4)), dt / steps
+    for i in range(len(position)):
+        a, s = rate[i] * dt, rate[i] * h
+        kept = math.exp(-s)
+        first = 2 / (1 + kept) * (math.expm1(-s) / math.expm1(-a) * steps if a > 1e-12 else 1.0)
+        left_out = dt * h * (lag(s) - 1 / (1 + kept))
+        fading[i, 3] = kept
+        for k in range(3):
+            change = 0.0 if held[i] else gravity[k] + (force[i, k] + contact_force[i, k]) / mass[i]
+            constant[i, k] = 0.0 if held[i] else -contact_force[i, k]
+            fading[i, k] = mass[i] * first * change
+            position[i, k] += left_out * change
+    return constant, fading
 
 
 @njit(cache=True)

@@ -4,13 +4,13 @@ import numpy as np
 from fe_el import mesh as _mesh
 from fe_el.checks import require_positive
 from fe_el.exchange import largest_of, move, raise_everywhere
-from fe_el.particles import insertion, location
+from fe_el.particles import insertion, location, motion
 from fe_el.particles.open_boundaries import OpenBoundaries
 
 FIELDS = {"position": (3,), "velocity": (3,), "angular_velocity": (3,), "diameter": (), "density": (), "force": (3,),
-          "contact_force": (3,), "contact_torque": (3,), "mean_contact_force": (3,), "coarse_graining": ()}
+          "contact_force": (3,), "contact_torque": (3,), "mean_contact_force": (3,), "coarse_graining": (), "relaxation_rate": ()}
 
-INTEGERS = ("cell", "id", "material")
+INTEGERS = ("cell", "id", "material", "held")
 
 
 class LostParticle(RuntimeError):
@@ -24,7 +24,9 @@ class Particles:
     has the mass and volume of all, and the drag of each of them.
 
     Every array has one row per particle of this rank; ``id`` is unique over all ranks and never changes. ``force`` [N]
-    is added during :meth:`advance` (the coupling writes it). ``properties`` holds user arrays that travel along.
+    is added during :meth:`advance` (the coupling writes it). ``relaxation_rate`` [1/s] is that of the drag in it: velocity and
+    position follow the relaxation at this rate that gives the impulse of ``force``; zero: a constant force. ``properties`` holds
+    user arrays that travel along.
 
     Args:
         mesh: dolfinx mesh of triangles or tetrahedra.
@@ -47,6 +49,7 @@ class Particles:
         for name, shape in FIELDS.items():
             setattr(self, name, np.zeros((0, *shape)))
         self.cell, self.id, self.material = np.zeros(0, np.int32), np.zeros(0, np.int64), np.zeros(0, np.int32)
+        self.held = np.zeros(0, bool)
         self.period = getattr(mesh, "period", None)
         self.properties, self.next_id, self.layout = {}, 0, 0
         self.reach_halo(0.0)
@@ -114,6 +117,7 @@ class Particles:
             setattr(self, name, np.concatenate([getattr(self, name), new[name]]))
         self.cell = np.concatenate([self.cell, cell[mine]])
         self.id = np.concatenate([self.id, self.next_id + mine])
+        self.held = np.concatenate([self.held, np.zeros(len(mine), bool)])
         material = np.broadcast_to(np.asarray(material, np.int32), len(x))
         if material.min() < 0:
             raise ValueError(f"The material is {material.min()}; give indices of materials, 0 or more.")
@@ -256,19 +260,23 @@ class Particles:
         that it is lost.
 
         Args:
-            ahead (float): where its velocity takes it in that time [s]; now, if that is outside the mesh.
+            ahead (float): where velocity and acceleration of the last step take it in that half of a step [s]; now, if that is
+                outside the mesh.
 
         Note:
             Collective.
         """
         if ahead:
-            reach = largest_of(self.comm, *((ahead * self.speed(), self.diameter.max()) if len(self) else np.zeros(2)))
+            way = motion.way_ahead(self.velocity, self.force, self.mean_contact_force, self.mass, self.gravity, self.relaxation_rate,
+                                   self.held, ahead)
+            longest = np.sqrt((way ** 2).sum(1).max(initial=0.0))
+            reach = largest_of(self.comm, longest, self.diameter.max(initial=0.0))
             if reach[0] + 3 * reach[1] > self.halo_width:
                 self.reach_halo(1.5 * reach[0] + 3 * reach[1])
         cell, position = self._walked(self.position, self.cell)
         cell = np.where(cell < 0, self.cell, cell)
         if ahead:
-            later, place = self._walked(self.position + ahead * self.velocity, cell)
+            later, place = self._walked(self.position + way, cell)
             cell, position = np.where(later < 0, cell, later), np.where((later < 0)[:, None], position, place)
         return cell, position
 
@@ -281,8 +289,34 @@ class Particles:
 
     # -- motion ----------------------------------------------------------------------------------------------------
 
+    def hold(self, mask=None):
+        """Hold particles where they are, all or those of a mask (particles of this rank,): ``held`` is true for them.
+
+        Fluid and other particles meet them as bodies that nothing moves; what holds them takes up every force.
+
+        Note:
+            Collective.
+        """
+        self.held[slice(None) if mask is None else np.asarray(mask, bool)] = True
+        for name in ("velocity", "angular_velocity", "mean_contact_force", "relaxation_rate"):
+            getattr(self, name)[self.held] = 0.0
+        self.layout += 1
+
+    def release(self, mask=None):
+        """Let held particles move again from rest, all or those of a mask (particles of this rank,).
+
+        Note:
+            Collective.
+        """
+        self.held[slice(None) if mask is None else np.asarray(mask, bool)] = False
+        self.layout += 1
+
+    def all_held(self):
+        """Whether no particle of any rank can move. Collective."""
+        return not self.comm.allreduce(int(not self.held.all()))
+
     def advance(self, dt, contacts=None):
-        """Advance by ``dt`` [s] under gravity, ``force`` and, if given, contacts in sub-steps.
+        """Advance by ``dt`` [s] under gravity, ``force`` and, if given, contacts in sub-steps; held particles stay.
 
         Raises:
             LostParticle: if a particle leaves the mesh.
@@ -294,9 +328,9 @@ class Particles:
         require_positive("time step", dt)
         self.step += 1
         if contacts is None:
-            change = dt * (self.gravity + self.force / self.mass[:, None])
-            self.position += dt * (self.velocity + 0.5 * change)
-            self.velocity += change
+            if self.all_held():
+                return
+            motion.free_flight(self.position, self.velocity, self.force, self.mass, self.gravity, self.relaxation_rate, self.held, dt)
         else:
             contacts.advance(dt)
         bad, message = np.flatnonzero(~np.isfinite(self.velocity).all(1)), None

@@ -6,7 +6,7 @@ from numba import njit
 from fe_el.borrowed import borrowed
 from fe_el.messages import largest
 from fe_el.particles.ghosts import forward_state
-from fe_el.particles.motion import kick_and_drift
+from fe_el.particles.motion import drift_on
 from fe_el.particles.pair_forces import pair_forces
 from fe_el.particles.wall_shapes import move_walls, shape_forces
 from fe_el.particles.walls import facet_forces
@@ -75,9 +75,8 @@ def wave(number, ahead, h, particles, drift, ghosts, waves, pairs, found, near, 
         largest squares of displacement, velocity and its change, and what :func:`all_forces` returns.
     """
     x, state, force, radius, inverse_mass, material = particles
-    external, inverse_inertia, x0 = drift
     starts, pair_at, wall_at, shape_at, image_at, images, strips, apart, apart_strips, _, width = waves
-    owned, slabs, touching, behind = len(x0), (len(starts) - 1) // strips, 0, -1
+    owned, slabs, touching, behind = len(drift[2]), (len(starts) - 1) // strips, 0, -1
     blocks, rows = (strips + (number - 1) * (apart_strips + 1) + width - 1) // width, slabs + (number - 1) * (apart + 1)
     moved, speed, change, reach = 0.0, 0.0, 0.0, -1.0
     near = update_near(ahead * ahead, skin, *found, *near)
@@ -89,7 +88,7 @@ def wave(number, ahead, h, particles, drift, ghosts, waves, pairs, found, near, 
             if slab < 0 or slab >= slabs or low >= high:
                 continue
             c, e = slab * strips + low, slab * strips + high
-            d2, v2, c2 = kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0, 1.0, h, starts[c], starts[e])
+            d2, v2, c2 = drift_on(x, state, force, inverse_mass, drift, 1.0, h, starts[c], starts[e])
             moved, speed, change = max(moved, d2), max(speed, v2), max(change, c2)
             moved = math.inf if math.isnan(d2) else moved
             refresh_images(images[image_at[c]:image_at[e]], ghosts[3], ghosts[5], owned, x, state, force)
@@ -117,11 +116,10 @@ def sub_steps(most, h, age, skin, wall_speed, particles, drift, ghosts, ranks, w
     particles, drift, ghosts, ranks, waves = borrowed((particles, drift, ghosts, ranks, waves))
     pairs, found, facets, shapes, walls, block, laws = borrowed((pairs, found, facets, shapes, walls, block, laws))
     x, state, force, _, inverse_mass, _ = particles
-    external, inverse_inertia, x0 = drift
-    owned, made, touching, behind, stale, number, ahead, part = len(x0), 0, 0, -1, False, 1, 0.0, 0.5
+    owned, made, touching, behind, stale, number, ahead, part = len(drift[2]), 0, 0, -1, False, 1, 0.0, 0.5
     while made < most and not stale:
         if number == 1:
-            moved, speed, change = kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0, part, h, 0, owned)
+            moved, speed, change = drift_on(x, state, force, inverse_mass, drift, part, h, 0, owned)
             forward_state(ghosts, owned, x, state)
             force[owned:] = 0.0
             move_walls(shapes[4], shapes[5], walls[0], h)
