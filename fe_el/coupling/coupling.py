@@ -30,8 +30,8 @@ class Coupling:
         fluid_density, fluid_viscosity (float): [kg/m^3], [Pa s].
         forces: list of :class:`Drag`, :class:`PressureGradient`, :class:`ViscousStress`, :class:`Buoyancy`.
         scheme (str): ``conservative``, ``explicit``, ``implicit``, ``implicit_from_force``, ``split`` or ``void_cells_explicit``.
-        mapping: ``satellite_points``, ``cfdem_points``, ``particle_centred``, ``hat``, ``well_mixed``, or an object (see
-            :mod:`fe_el.coupling.mapping`).
+        mapping: ``overlap_volume``, ``satellite_points`` (the paper's), ``cfdem_points``, ``particle_centred``, ``hat``,
+            ``well_mixed``, or an object (see :mod:`fe_el.coupling.mapping`).
         smoothing: :class:`HelmholtzSmoothing`, :class:`PatchAverage` or another self-adjoint map of cell fields; absent: none.
         fluid_velocity (str): velocity at the particle: ``cell`` means, or ``linear`` interpolation between vertices; the
             difference of the two lags by a step, and momentum stays exact.
@@ -57,7 +57,7 @@ class Coupling:
     """
 
     def __init__(self, particles, velocity, pressure, fluid_density, fluid_viscosity, forces, scheme="conservative",
-                 mapping="satellite_points", smoothing=None, fluid_velocity="cell", largest_solid_fraction=0.74,
+                 mapping="overlap_volume", smoothing=None, fluid_velocity="cell", largest_solid_fraction=0.74,
                  positions=None, mean_velocity=None):
         for name, value in (("fluid density", fluid_density), ("fluid viscosity", fluid_viscosity)):
             if not (value > 0 and np.isfinite(value)):

@@ -3,6 +3,8 @@ import numpy as np
 from mpi4py import MPI
 from numba import njit
 
+from fe_el.coupling.overlap import OverlapVolume
+from fe_el.coupling.shares import ListedShares
 from fe_el.particles.location import INSIDE, walk
 
 FAST = {"contract", "reassoc", "nsz", "arcp"}
@@ -113,25 +115,7 @@ def _shares(barycentric, neighbour, shift, cell, position, radius, points, start
     return number
 
 
-@njit(cache=True)
-def _deposit(start, cell, weight, quantity, out):
-    for i in range(len(start) - 1):
-        for n in range(start[i], start[i + 1]):
-            for k in range(quantity.shape[1]):
-                out[cell[n], k] += weight[n] * quantity[i, k]
-
-
-@njit(cache=True)
-def _gather(start, cell, weight, field, out):
-    for i in range(len(start) - 1):
-        for k in range(field.shape[1]):
-            total = 0.0
-            for n in range(start[i], start[i + 1]):
-                total += weight[n] * field[cell[n], k]
-            out[i, k] = total
-
-
-class SatellitePoints:
+class SatellitePoints(ListedShares):
     """Shares by points inside each particle: w_ij is the fraction of the points inside the domain that lie in cell j.
 
     A particle that lies wholly inside its cell is not searched.
@@ -144,6 +128,7 @@ class SatellitePoints:
     """
 
     def __init__(self, points=None):
+        super().__init__()
         self.points = isotropic_points() if points is None else np.ascontiguousarray(points, float)
         if self.points.ndim != 2 or self.points.shape[1] != 3 or not (np.linalg.norm(self.points, axis=1) <= 1).all():
             raise ValueError(f"The satellite points have shape {self.points.shape}; give points (points, 3) inside a sphere of "
@@ -152,19 +137,10 @@ class SatellitePoints:
     def prepare(self, cells, cell, position, radius):
         """Find the shares of particles at ``position`` with centre in ``cell``: entries start[i]:start[i+1] of particle i."""
         n = len(cell)
-        self.start = np.empty(n + 1, np.int64)
-        index, weight = np.empty(n * len(self.points) + 1, np.int32), np.empty(n * len(self.points) + 1)
-        number = _shares(cells.barycentric, cells.neighbour, cells.shift, cell, position, radius,
-                         np.ascontiguousarray(self.points.T), self.start, index, weight)
-        self.cell, self.weight = index[:number], weight[:number]
-
-    def deposit(self, quantity, out):
-        """out[j] += sum_i w_ij quantity_i for (particles, k) quantities."""
-        _deposit(self.start, self.cell, self.weight, quantity, out)
-
-    def gather(self, field, out):
-        """out[i] = sum_j w_ij field_j for (cells, k) fields."""
-        _gather(self.start, self.cell, self.weight, field, out)
+        self._reserve(n, n * len(self.points) + 1)
+        _shares(cells.barycentric, cells.neighbour, cells.shift, cell, position, radius, np.ascontiguousarray(self.points.T),
+                self._start[:n + 1], self._cell, self._weight)
+        self._keep(n)
 
 
 class ParticleCentred(SatellitePoints):
@@ -283,8 +259,9 @@ def patch_volume(cells):
                        len(cells.vertex_start) - 1)
 
 
-MAPPINGS = {"satellite_points": SatellitePoints, "cfdem_points": lambda: SatellitePoints(cfdem_points()),
-            "particle_centred": ParticleCentred, "hat": HatKernel, "well_mixed": WellMixed}
+MAPPINGS = {"overlap_volume": OverlapVolume, "satellite_points": SatellitePoints,
+            "cfdem_points": lambda: SatellitePoints(cfdem_points()), "particle_centred": ParticleCentred, "hat": HatKernel,
+            "well_mixed": WellMixed}
 
 
 def mapping_of(choice):

@@ -1,0 +1,74 @@
+"""Beds with the default mapping: a liquid's bed at rest stays at rest, and a gas bed does not know the axes."""
+import numpy as np
+import pytest
+
+import fe_el
+
+WATER = {"density": 996.78, "viscosity": 8.35e-4}
+FORCES = [fe_el.Drag("beetstra"), fe_el.PressureGradient(), fe_el.Buoyancy()]
+
+
+def settled(density, width=3, d=2.663e-3):
+    """Beads at rest on the floor of a closed box, open above, in water at rest: fluid, beads, contacts, coupling."""
+    w = width * 2.5 * d
+    mesh, tags = fe_el.box((w, w, 2 * w), (width, width, 2 * width))
+    fluid = fe_el.VolumeAveragedNavierStokes(mesh, tags, **WATER)
+    for side in (1, 2, 3, 4, 5):
+        fluid.set_slip(side)
+    fluid.set_pressure(6, 0.0)
+    beads = fe_el.Particles(mesh, density, gravity=(0, 0, -9.81))
+    contacts = fe_el.Contacts(beads, fe_el.LinearSpringDashpot(500.0, 0.5, 0.3), walls=(tags, (1, 2, 3, 4, 5, 6)))
+    count = int(0.24 * 2 * w ** 3 / (np.pi / 6 * d ** 3))
+    beads.insert_in_box((d / 2,) * 3, (w - d / 2, w - d / 2, 2 * w - d / 2), count, d, seed=1, without_overlap=True)
+    for k in range(120):
+        beads.advance(5e-3, contacts)
+        beads.velocity *= 0.9 if k < 80 else 1.0
+    return fluid, beads, contacts, fe_el.Coupling(beads, fluid.velocity, fluid.pressure, *WATER.values(), FORCES)
+
+
+@pytest.mark.parametrize("density, dt, end, largest", [(3586.0, 1e-3, 0.06, 1e-4), (3586.0, 1e-4, 0.06, 1e-4),
+                                                       (1029.0, 1e-4, 0.12, 2e-3)])
+def test_a_bed_in_a_liquid_comes_to_rest(density, dt, end, largest):
+    """Alumina and alginate, long steps and short: what jumps in the void fraction would shake them, the more the shorter."""
+    fluid, beads, contacts, coupling = settled(density)
+    speed = []
+    for _ in range(round(end / dt)):
+        coupling.to_fluid(dt)
+        fluid.advance(dt, coupling.fields)
+        coupling.to_particles(dt)
+        beads.advance(dt, contacts)
+        speed.append(np.sqrt((beads.velocity ** 2).sum(1).mean()))
+    last = speed[-len(speed) // 6:]
+    assert np.sqrt(np.mean(np.square(last))) < largest and last[-1] < 0.6 * max(speed)
+
+
+def pressures(turn, steps=100):
+    """Largest pressure in every step of a gas bed in a box that stands along the columns of ``turn``."""
+    mesh, tags = fe_el.box((0.01, 0.01, 0.03), (3, 3, 9))
+    mesh.geometry.x[:] = mesh.geometry.x @ turn.T
+    up, d, dt = turn @ [0, 0, 1.0], 1e-3, 2e-4
+    air = fe_el.VolumeAveragedNavierStokes(mesh, tags, density=1.2, viscosity=1.8e-5)
+    air.set_velocity(5, 0.6 * up)
+    air.set_pressure(6, 0.0)
+    for side in (1, 2, 3, 4):
+        air.set_slip(side)
+    beads = fe_el.Particles(mesh, density=2500.0, gravity=-9.81 * up)
+    x = fe_el.particles.insertion.lattice_positions((2e-4, 2e-4, 1e-4), (0.0098, 0.0098, 0.02), np.full(800, d), 1)
+    beads.insert_at(x @ turn.T, d)
+    contacts = fe_el.Contacts(beads, fe_el.LinearSpringDashpot(500.0, 0.9, 0.1), walls=(tags, (1, 2, 3, 4, 5, 6)))
+    coupling = fe_el.Coupling(beads, air.velocity, air.pressure, 1.2, 1.8e-5, FORCES[:2])
+    largest = []
+    for _ in range(steps):
+        coupling.to_fluid(dt)
+        air.advance(dt, coupling.fields)
+        coupling.to_particles(dt)
+        beads.advance(dt, contacts)
+        largest.append(air.pressure.x.array.max())
+    return np.array(largest)
+
+
+def test_a_gas_bed_does_not_know_the_axes():
+    turn = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))[0]
+    turn *= np.linalg.det(turn)
+    plain, turned = pressures(np.eye(3)), pressures(turn)
+    assert np.abs(turned / plain - 1).max() < 0.01
