@@ -9,6 +9,7 @@ from mpi4py import MPI
 from scipy.spatial import cKDTree
 
 from fe_el.exchange import Halo
+from fe_el.failures import end_all_ranks_on_errors
 
 
 class CellMesh(NamedTuple):
@@ -239,6 +240,7 @@ def read_mesh(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None):
     """
     import gmsh
     from dolfinx.io import gmshio
+    end_all_ranks_on_errors(comm)
     if not Path(path).is_file():
         raise FileNotFoundError(f"There is no mesh file {path}; give the path of a gmsh .msh file.")
     if comm.rank == 0:
@@ -257,6 +259,7 @@ def mesh_geo(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None, **parame
     """
     import gmsh
     from dolfinx.io import gmshio
+    end_all_ranks_on_errors(comm)
     if not Path(path).is_file():
         raise FileNotFoundError(f"There is no geometry file {path}; give the path of a gmsh .geo file.")
     blocks = re.findall(r"DefineConstant\s*\[(.*?)\]", Path(path).read_text(), re.DOTALL)

@@ -3,6 +3,7 @@ import numpy as np
 from dolfinx import mesh as dmesh
 from dolfinx.cpp.graph import AdjacencyList_int32
 
+from fe_el.failures import end_all_ranks_on_errors
 from fe_el.mesh import facet_neighbours
 
 
@@ -38,6 +39,7 @@ def slices_of(centre, vertex, axis):
 
 def create_mesh(comm, cells, x, domain, axis):
     """``dolfinx.mesh.create_mesh`` with slices along an axis; ``None``: dolfinx's own partition."""
+    end_all_ranks_on_errors(comm)
     cells = np.asarray(cells, np.int64)
     if axis is None:
         return dmesh.create_mesh(comm, cells, x, domain)

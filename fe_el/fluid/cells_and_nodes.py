@@ -5,6 +5,7 @@ import numpy as np
 from dolfinx import fem
 
 from fe_el.exchange import Halo
+from fe_el.failures import end_all_ranks_on_errors
 from fe_el.fluid import kernels
 from fe_el.fluid.work_arrays import WorkArrays
 from fe_el.mesh import barycentric_maps, check_simplices, owned_corners
@@ -23,6 +24,7 @@ class CellsAndNodes:
 
     def __init__(self, mesh):
         check_simplices(mesh)
+        end_all_ranks_on_errors(mesh.comm)
         self.mesh, self.comm, self.dimension, self.ranks = mesh, mesh.comm, mesh.topology.dim, ranks_of(mesh.comm)
         d = self.dimension
         self.space, self.work = fem.FunctionSpace(mesh, ("CG", 1)), WorkArrays()

@@ -4,6 +4,7 @@ import numpy as np
 from fe_el import mesh as _mesh
 from fe_el.checks import require_positive
 from fe_el.exchange import largest_of, move, raise_everywhere
+from fe_el.failures import end_all_ranks_on_errors
 from fe_el.particles import insertion, location, motion
 from fe_el.particles.open_boundaries import OpenBoundaries
 
@@ -41,6 +42,7 @@ class Particles:
     def __init__(self, mesh, density, gravity=(0.0, 0.0, 0.0), thickness=1.0):
         require_positive("density", density)
         require_positive("thickness", thickness)
+        end_all_ranks_on_errors(mesh.comm)
         self.mesh, self.comm, self.default_density = mesh, mesh.comm, float(density)
         self.gravity = np.zeros(3)
         self.gravity[:len(gravity)] = gravity
