@@ -283,11 +283,20 @@ class Particles:
         return cell, position
 
     def _walked(self, position, start):
-        """Cells, -1 outside the mesh, and wrapped positions of points that are near the cells ``start``."""
-        cell, position = start.copy(), position.copy()
-        self._wrap(position)
-        location.locate(self.cells, cell, position)
-        return cell, position
+        """Cells, -1 outside the mesh, and wrapped positions of points that are near the cells ``start``.
+
+        The walk takes points through periodic facets; only what it does not find is wrapped first, as the cells of another
+        period may be on another rank.
+        """
+        cell, place = start.copy(), position.copy()
+        location.locate(self.cells, cell, place)
+        far = np.flatnonzero(cell < 0) if self.period is not None else []
+        if len(far):
+            again, wrapped = start[far].copy(), position[far].copy()
+            self._wrap(wrapped)
+            location.locate(self.cells, again, wrapped)
+            cell[far], place[far] = again, wrapped
+        return cell, place
 
     # -- motion ----------------------------------------------------------------------------------------------------
 
