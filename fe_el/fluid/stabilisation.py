@@ -30,7 +30,7 @@ def _weights(flux, density, share, h, viscosity, factor, weight):
         for k in range(flux.shape[1]):
             square += flux[c, k] ** 2
         mass = density * share[c]
-        rate = fading_rate(square / mass ** 2, h[c], viscosity / density)
+        rate = fading_rate(square / mass ** 2, h[c], viscosity / density, 4.0)
         weight[c] = factor / max(rate, 1e-300) / mass
 
 
