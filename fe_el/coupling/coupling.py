@@ -14,6 +14,8 @@ from fe_el.coupling.schemes import Exchange, scheme_of
 from fe_el.coupling.smoothing import FixedValues
 from fe_el.exchange import largest_of, raise_everywhere
 
+LIQUID = 0.1  # density of a fluid over that of the particles, from which its answer to displaced volume drives them
+
 
 class Coupling:
     """Momentum exchange of particles with any fluid that takes a void fraction, a drag coefficient and a source.
@@ -37,8 +39,8 @@ class Coupling:
             difference of the two lags by a step, and momentum stays exact.
         largest_solid_fraction (float): cells that hold more hand the excess to their neighbours, conservatively.
         positions (str): the particles' positions that are mapped: of the ``start`` of the step, or of its ``middle``; absent: of
-            the middle, but earlier where a fluid answers in one step of a Courant number above 1 and makes larger errors itself,
-            from 4 on of the start.
+            the middle, but where a fluid answers: of the start in a liquid, whose answer to what particles displace would be fed
+            back by places ahead, and earlier than the middle in one step of a Courant number above 1, from 4 on of the start.
         mean_velocity: mean of the velocity that drag acted on in the step, for a fluid that makes several of its own (as
             :class:`SubCycled`, with its mean pressure for ``pressure``); absent: ``velocity``.
 
@@ -146,7 +148,11 @@ class Coupling:
         volume = cells.volume[:cells.owned] / (self.particles.thickness if d == 2 else 1.0)
         speed = np.sqrt((self.cell_velocity ** 2).sum(1))
         courant = dt * (speed / (math.factorial(d) * volume) ** (1 / d)).max(initial=0.0)
-        return 0.5 * float(np.clip((4 - largest_of(self.comm, courant)[0]) / 3, 0.0, 1.0))
+        density = self.density / self.particles.density.min(initial=np.inf)
+        courant, density = largest_of(self.comm, courant, density)
+        if density > LIQUID:
+            return 0.0
+        return 0.5 * float(np.clip((4 - courant) / 3, 0.0, 1.0))
 
     def _map(self, dt):
         """Shares of the cells in every particle, and the void fraction."""
