@@ -1,6 +1,7 @@
 """Time loop with progress, ParaView output and summary.json."""
 import importlib.metadata
 import json
+import re
 import sys
 import time as time_now
 from pathlib import Path
@@ -78,7 +79,8 @@ def stage_seconds(*parts):
 class ParaViewOutput:
     """Writes particles and cell fields as .vtu pieces, one per rank, with .pvd collections for ParaView.
 
-    Used as a context (``with output: ...``) it remembers the state of every call of :meth:`write`; if the run stops with an
+    In a folder that holds a series already, frames older than the first that is written stay: a restarted run goes on with the
+    series. Used as a context (``with output: ...``) it remembers the state of every call of :meth:`write`; if the run stops with an
     error, it writes the last good state before the error goes on.
 
     Args:
@@ -167,16 +169,29 @@ class ParaViewOutput:
                 point_data[f.name] = values[dofs.ravel()]
         return cell_data, point_data
 
+    def _frames(self, name, time):
+        """Frames of the collection in the folder that are older than ``time``: those of the run that goes on. Collective."""
+        frames, path = {}, self.folder / f"{name}.pvd"
+        if self.comm.rank == 0 and path.is_file():
+            for when, file in re.findall(r'timestep="([^"]+)" part="\d+" file="([^"]+)"', path.read_text()):
+                if float(when) < time * (1 - 1e-9) - 1e-300 and (self.folder / file).is_file():
+                    frames.setdefault(float(when), []).append(file)
+        return self.comm.bcast(sorted(frames.items()))
+
     def _piece(self, name, time, piece):
-        number = len(self.written[name])
+        if not self.written[name]:
+            self.written[name] = self._frames(name, time)
+        number = 1 + max((int(files[0].split("_")[-2]) for _, files in self.written[name]), default=-1)
         files = [f"{name}_{number:05d}_{r}.vtu" for r in range(self.comm.size)]
         meshio.write(self.folder / files[self.comm.rank], piece, file_format="vtu")
         self.written[name].append((time, files))
         if self.comm.rank == 0:
             rows = "".join(f'<DataSet timestep="{t:.9g}" part="{r}" file="{f}"/>\n' for t, fs in self.written[name]
                            for r, f in enumerate(fs))
-            (self.folder / f"{name}.pvd").write_text('<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">'
-                                                     f"<Collection>\n{rows}</Collection></VTKFile>\n")
+            part = self.folder / f".{name}.pvd.part"
+            part.write_text('<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">'
+                            f"<Collection>\n{rows}</Collection></VTKFile>\n")
+            part.replace(self.folder / f"{name}.pvd")  # the collection is whole at any moment
 
 
 def versions():

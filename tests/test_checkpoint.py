@@ -1,4 +1,7 @@
 """Checkpoints: a run that goes on from a file is the run without a break, on any number of ranks."""
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from mpi4py import MPI
@@ -123,3 +126,23 @@ def test_what_does_not_fit_is_refused(folder):
         fe_el.save_checkpoint(folder + "/c.h5")
     with pytest.raises(OSError, match="cannot be written"):
         fe_el.save_checkpoint(folder + "/a.h5/b.h5", beads)
+
+
+@pytest.mark.ranks
+def test_output_of_a_restarted_run_goes_on_with_the_series(folder):
+    """Frames from before the restart stay, those that are made again are replaced."""
+    mesh, _ = fe_el.box((0.01, 0.01, 0.02), (2, 2, 4))
+    beads = fe_el.Particles(mesh, 2500.0)
+    beads.insert_at([[0.005] * 3], 1e-3)
+    first = fe_el.ParaViewOutput(folder, beads)
+    for t in range(5):
+        first.write(float(t))
+    second = fe_el.ParaViewOutput(folder, beads)
+    for t in range(3, 7):
+        second.write(float(t))
+    mesh.comm.barrier()
+    text = open(folder + "/particles.pvd").read()
+    times = [float(t) for t in re.findall('timestep="([^"]+)" part="0"', text)]
+    files = re.findall('file="([^"]+)"', text)
+    assert times == [0, 1, 2, 3, 4, 5, 6] and len(set(files)) == len(files) == 7 * mesh.comm.size
+    assert all((Path(folder) / f).is_file() for f in files)

@@ -63,3 +63,20 @@ def test_insertion_without_overlap():
     assert gap[np.triu_indices(350, 1)].min() >= 0
     with pytest.raises(ValueError, match="fit without overlap"):
         p.insert_in_box((0, 0, 0), (0.2, 0.2, 0.2), 100, diameter=0.1, without_overlap=True)
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("periodic", [False, True])
+def test_a_second_batch_does_not_overlap_the_first(periodic, by_id):
+    """Two sizes in one box, one after the other: no pair overlaps, periodic images included."""
+    side = 0.03
+    mesh = fe_el.periodic_box((side,) * 3, (4,) * 3)[0] if periodic else fe_el.box((side,) * 3, (4,) * 3)[0]
+    beads = fe_el.Particles(mesh, 2500.0)
+    for diameter, seed in ((1.5e-3, 1), (2e-3, 2)):
+        beads.insert_in_box((1e-3,) * 3, (side - 1e-3,) * 3, 150, diameter, seed=seed, without_overlap=True)
+    x, d = by_id(beads, beads.position), by_id(beads, beads.diameter)
+    apart = x[:, None] - x
+    if periodic:
+        apart -= np.round(apart / side) * side
+    gap = np.linalg.norm(apart, axis=2) - 0.5 * (d[:, None] + d)
+    assert gap[np.triu_indices(len(d), 1)].min() > 0

@@ -105,3 +105,18 @@ def test_time_scales_and_advice():
     assert thin.scheme == "explicit"
     with pytest.raises(ValueError, match="diameter"):
         time_scales.advice(-1.0, 1500.0, 1.3, 1.8e-5, 0.1, 1.0, 1e-3, law)
+
+
+@pytest.mark.ranks
+def test_a_particle_that_has_crossed_the_seam_is_found_behind_it():
+    """Between two renewals of the lists, on any number of slices: the cell holds the wrapped position."""
+    length = np.array([0.003, 0.003, 0.012])
+    mesh, _ = fe_el.periodic_box(length, (3, 3, 12), slices_along=2)
+    beads = fe_el.Particles(mesh, 2500.0)
+    contacts = fe_el.Contacts(beads, fe_el.LinearSpringDashpot(50.0, 0.9, 0.1), skin=2e-4)
+    beads.insert_at([[0.0015, 0.0014, 5e-5], [0.0005, 0.0006, 0.006]], 3e-4, velocity=[[0, 0, -0.5], [0, 0, 0]])
+    beads.advance(1e-5, contacts)
+    beads.advance(1.2e-4, contacts)
+    cell, position = beads.located()
+    assert all((beads.cells.barycentric[c] @ np.append(x, 1.0)).min() > -1e-9 for c, x in zip(cell, position))
+    assert mesh.comm.allreduce(int((position[:, 2] > 0.0119).sum())) == 1

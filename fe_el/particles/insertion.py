@@ -41,8 +41,28 @@ def claim(particles, x):
     return np.where(first == particles.comm.rank, cell, -1).astype(np.int32)
 
 
-def random_positions(lower, upper, count, diameter, seed, without_overlap, period=None):
-    """Uniform random positions (count, 3) in a box, at random or by sequential insertion without overlap."""
+def spheres_near(particles, lower, upper, reach):
+    """Centres (spheres, 3) and radii of the particles of all ranks that come within ``reach`` of a box.
+
+    Note:
+        Collective.
+    """
+    lo, hi = np.full(3, -np.inf), np.full(3, np.inf)
+    lo[:len(lower)], hi[:len(upper)] = lower, upper
+    x, radius = particles.position.copy(), 0.5 * particles.diameter
+    particles._wrap(x)
+    far = (particles.period if particles.period is not None else np.zeros(3)) > 0
+    near = np.flatnonzero((((x > lo - (radius + reach)[:, None]) & (x < hi + (radius + reach)[:, None])) | far).all(1))
+    parts = particles.comm.allgather((x[near], radius[near], particles.id[near]))
+    order = np.argsort(np.concatenate([p[2] for p in parts]))
+    return np.concatenate([p[0] for p in parts])[order], np.concatenate([p[1] for p in parts])[order]
+
+
+def random_positions(lower, upper, count, diameter, seed, without_overlap, period=None, there=None):
+    """Uniform random positions (count, 3) in a box, at random or by sequential insertion without overlap.
+
+    ``there``: centres and radii of spheres that are there already; absent: none.
+    """
     lower, upper = np.asarray(lower, float), np.asarray(upper, float)
     if count < 1:
         raise ValueError(f"The number of particles is {count}; the particle set must not be empty.")
@@ -56,7 +76,8 @@ def random_positions(lower, upper, count, diameter, seed, without_overlap, perio
     lo, hi = np.zeros(3), np.zeros(3)
     lo[:len(lower)], hi[:len(upper)] = lower, upper
     order = np.argsort(-radius, kind="stable")
-    x, placed = _sequential(lo, hi, radius[order], seed, np.zeros(3) if period is None else period)
+    there = there or (np.zeros((0, 3)), np.zeros(0))
+    x, placed = _sequential(lo, hi, radius[order], seed, np.zeros(3) if period is None else period, *there)
     if placed < count:
         raise ValueError(f"Only {placed} of {count} particles fit without overlap in the box from {lower.tolist()} to "
                          f"{upper.tolist()}; use a larger box, fewer particles, or insert_on_lattice.")
@@ -66,16 +87,23 @@ def random_positions(lower, upper, count, diameter, seed, without_overlap, perio
 
 
 @njit(cache=True)
-def _sequential(lower, upper, radius, seed, period):
+def _sequential(lower, upper, new_radius, seed, period, there, their_radius):
     """Random sequential insertion, largest first, with bins of one largest diameter; periodic images count."""
     np.random.seed(seed)
-    n, shape, size = len(radius), np.ones(3, np.int64), np.empty(3)
+    old, shape, size = len(there), np.ones(3, np.int64), np.empty(3)
+    n, radius, x = old + len(new_radius), np.append(their_radius, new_radius), np.zeros((old + len(new_radius), 3))
     for k in range(3):
-        shape[k] = max(1, int((upper[k] - lower[k]) / (2 * radius[0])))
+        shape[k] = max(1, int((upper[k] - lower[k]) / (2 * radius.max())))
         size[k] = max((upper[k] - lower[k]) / shape[k], 1e-300)
     head, following = np.full(shape.prod(), -1, np.int64), np.full(n, -1, np.int64)
-    x, at, trial = np.zeros((n, 3)), np.zeros(3, np.int64), np.zeros(3)
-    for i in range(n):
+    at, trial = np.zeros(3, np.int64), np.zeros(3)
+    for i in range(old):  # those outside the box are at most a bin away: they stand in its outermost bins
+        x[i] = there[i]
+        for k in range(3):
+            at[k] = min(max(int(np.floor((x[i, k] - lower[k]) / size[k])), 0), shape[k] - 1)
+        box = (at[0] * shape[1] + at[1]) * shape[2] + at[2]
+        following[i], head[box] = head[box], i
+    for i in range(old, n):
         done = False
         for _ in range(20000):
             for k in range(3):
@@ -103,11 +131,11 @@ def _sequential(lower, upper, radius, seed, period):
                 done = True
                 break
         if not done:
-            return x, i
+            return x[old:], i - old
         x[i] = trial
         box = (at[0] * shape[1] + at[1]) * shape[2] + at[2]
         following[i], head[box] = head[box], i
-    return x, n
+    return x[old:], n - old
 
 
 def lattice_positions(lower, upper, diameter, seed):

@@ -132,6 +132,8 @@ class Particles:
     def insert_in_box(self, lower, upper, count, diameter, density=None, velocity=0.0, seed=0, without_overlap=False, **kind):
         """Insert ``count`` particles at random in a box; ``diameter`` is a number or one per particle [m].
 
+        ``without_overlap``: they overlap neither each other nor particles that are there already.
+
         ``kind``: ``material`` and ``coarse_graining`` as in :meth:`insert_at`.
 
         Raises:
@@ -140,7 +142,8 @@ class Particles:
         Note:
             Collective.
         """
-        x = insertion.random_positions(lower, upper, count, diameter, seed, without_overlap, self.period)
+        there = insertion.spheres_near(self, lower, upper, 0.5 * np.max(diameter)) if without_overlap else None
+        x = insertion.random_positions(lower, upper, count, diameter, seed, without_overlap, self.period, there)
         self.insert_at(x, diameter, density, velocity, **kind)
 
     def insert_on_lattice(self, lower, upper, diameter, density=None, velocity=0.0, seed=0, **kind):
