@@ -136,12 +136,12 @@ def _tags(mesh):
 @pytest.mark.parametrize("ratio", [1.0, 3.0, 50.0])
 def test_neighbours_are_all_found_once_at_any_size_ratio(ratio):
     rng = np.random.default_rng(7)
-    x, r, skin = rng.random((600, 3)), 0.004 * ratio ** rng.random(600), 0.003
-    first, second = neighbour_pairs(x, r, 500, skin)
+    x, r, room = rng.random((600, 3)), 0.004 * ratio ** rng.random(600), 0.003 * rng.random(600)
+    first, second = neighbour_pairs(x, r + room, 500)
     found = set(zip(np.minimum(first, second).tolist(), np.maximum(first, second).tolist()))
     assert len(found) == len(first) and (first < 500).all()
-    gap = np.linalg.norm(x[:, None] - x, axis=2) - r[:, None] - r
-    a, b = np.nonzero(np.triu(gap < skin, 1))
+    gap = np.linalg.norm(x[:, None] - x, axis=2) - r[:, None] - r - room[:, None] - room
+    a, b = np.nonzero(np.triu(gap < 0, 1))
     assert found == {(i, j) for i, j in zip(a.tolist(), b.tolist()) if i < 500}
 
 

@@ -88,6 +88,37 @@ def test_contact_law_rejects_impossible_numbers():
             fe_el.LinearSpringDashpot(**{"stiffness": 100.0, "restitution": 0.9, "friction": 0.1, **kwargs})
 
 
+@pytest.mark.ranks
+@pytest.mark.parametrize("skin", [None, 3e-4])
+def test_no_contact_is_missed_among_slow_and_fast_beads_of_many_sizes(skin):
+    """Beads in a periodic box over a floor, some fast, under a plane that comes down: all overlaps are among what may touch."""
+    period = np.array([0.03, 0.03, np.inf])
+    mesh, tags = fe_el.periodic_box((0.03, 0.03, 0.04), (3, 3, 4), (True, True, False))
+    rng = np.random.default_rng(3)
+    x = np.stack(np.meshgrid(*[np.arange(6) * 0.005 + 0.0025] * 3, indexing="ij"), -1).reshape(-1, 3)
+    velocity = rng.normal(size=x.shape) * np.where(rng.random(len(x)) < 0.1, 4.0, 0.2)[:, None]
+    beads = fe_el.Particles(mesh, 2500.0)
+    beads.insert_at(x, 8e-4 * 6 ** rng.random(len(x)), velocity=velocity)
+    plane = fe_el.PlaneWall((0, 0, 0.031), (0, 0, -1), velocity=(0, 0, -1.0))
+    contacts = fe_el.Contacts(beads, fe_el.LinearSpringDashpot(2e3, 0.9, 0.1), [fe_el.FacetWalls(tags, 5), plane],
+                              steps_per_contact=20, skin=skin)
+    overlapping, h, gather = 0, 0.999 * contacts.step_limit(), beads.comm.allgather
+    for n in range(120):
+        beads.advance(7 * h, contacts)
+        lists = contacts.lists
+        near, floor = lists.listed[:lists.near[1]], lists.wall_listed[:lists.near[2]]
+        mine = [lists.ids[a] for a in (lists.first[near], lists.second[near], lists.wall_particle[floor], lists.shape_particle)]
+        first, second, floor, top = (np.concatenate(a) for a in zip(*gather(mine)))
+        ids, x, r = (np.concatenate(a) for a in zip(*gather((beads.id, beads.position, beads.diameter / 2))))
+        apart = x[:, None] - x
+        apart -= np.where(np.isfinite(period), period, 1.0) * np.round(apart / period)
+        a, b = np.nonzero(np.triu(np.linalg.norm(apart, axis=2) < r[:, None] + r, 1))
+        overlapping += len(a)
+        assert {frozenset(k) for k in zip(ids[a], ids[b])} <= {frozenset(k) for k in zip(first, second)}
+        assert set(ids[x[:, 2] < r]) <= set(floor) and set(ids[lists.motion[1, 2] - x[:, 2] < r]) <= set(top)
+    assert overlapping > 200 and contacts.rebuilds < 840 / 4
+
+
 @pytest.mark.parametrize("sub_steps", [1, 2, 50])
 def test_lists_are_renewed_however_few_sub_steps_a_call_makes(sub_steps):
     """Two beads that start far apart collide and part at the restitution."""

@@ -10,21 +10,28 @@ from fe_el.particles.law_kernels import aligned
 from fe_el.particles.wall_shapes import FACETS, shape_list
 
 SORT_EVERY = 8  # rebuilds
+AHEAD = 160  # sub-steps that particles and walls have room for at their present speed
+WIDEST = 1.0  # room at most, over the largest diameter
 
 
 class ContactLists:
-    """Neighbour pairs, facet contacts and contacts with planes and cylinders, kept within a skin.
+    """Neighbour pairs, facet contacts and contacts with planes and cylinders.
+
+    Every particle has room to move in before the lists are out of date: half the skin, and more if it is fast. A pair is listed if
+    its surfaces are closer than the room of both, a facet or wall if it is closer than the room of the particle,
+    with the room of the walls themselves if these move.
 
     Args:
         particles (Particles): the particles.
         walls: list of walls.
-        skin (float): reach beyond contact [m]; absent: adapted so that a list lasts some tens of sub-steps.
+        skin (float): reach beyond contact, alike for all pairs [m]; absent: such that a list lasts some hundred sub-steps.
         width (int): numbers kept per contact: tangential spring and normal velocity, and the rolling spring if any.
     """
 
     def __init__(self, particles, walls, skin, width):
         self.particles, self.walls, self._skin, self.width = particles, walls, skin, width
         self.skin, self.age, self.rebuilds, self._reach, self._cells = skin, 0, 0, -1.0, None
+        self._ahead, self._most, self.wall_room, self.wall_rate = 0.0, np.inf, 0.0, 0.0
         parts = [(_mesh.boundary_facets(particles.mesh, w.facet_tags, w.groups), k) for k, w in enumerate(walls)
                  if w.kind == FACETS]
         self.facets, self.facet_rows = None, (np.zeros((0, 3, 3)), np.zeros((0, 3), np.uint32), np.zeros(0, np.uint32), np.zeros((0, 12)))
@@ -40,8 +47,8 @@ class ContactLists:
         self.tile_starts, self.strips, self.tile_layout, self.waves = None, 1, None, waves.NONE
         self.ghosts, self.springs, self.restored, self.has_shapes = None, None, None, bool((self.kind != FACETS).any())
 
-    def wall_speed(self):
-        """Largest speed of a wall that moves [m/s]."""
+    def _wall_speed(self):
+        """Largest speed of a wall that moves, where the particles of this rank are [m/s]."""
         if not self.has_shapes:
             return 0.0
         moving = self.motion[self.kind != FACETS]
@@ -68,10 +75,12 @@ class ContactLists:
         kept = self._collect(step, layout)
         largest, speed, inverse = largest_of(comm, *((p.diameter.max(), p.speed(), 1 / p.diameter.min()) if len(p) else np.zeros(3)))
         self._choose_skin(1 / max(inverse, 1e-300), largest, speed, h)
-        self._check_period(largest)
+        self._choose_wall_room(largest, h)
+        widest = self._room(speed)
+        self._check_period(largest, widest)
         p.reach_halo(2 * (largest + self.skin))
-        if self.facets is not None and (self._reach < largest / 2 + self.skin or self._cells is not p.cells):
-            self._reach, self._cells = 1.2 * (largest / 2 + self.skin), p.cells
+        if self.facets is not None and (self._reach < largest / 2 + widest or self._cells is not p.cells):
+            self._reach, self._cells = 1.2 * (largest / 2 + widest), p.cells
             self._candidates = _walls.wall_candidates(p.cells, self.facets[0], self._reach)
         before, destination = p.id, p.locate()
         if destination is not None:
@@ -81,18 +90,20 @@ class ContactLists:
             kept = self._sort(kept, largest + self.skin, in_tiles)
         if self.ghosts is not None:
             self.ghosts.free()
-        self.ghosts = Ghosts(comm, p.position, largest + self.skin, p.period)
-        x, pairs = self._pairs()
+        self.ghosts = Ghosts(comm, p.position, largest + 2 * widest, p.period)
+        speeds = np.sqrt((p.velocity ** 2).sum(1))
+        room = self._room(speeds)
+        x, pairs = self._pairs(room)
         self.radius, self.inverse_mass = self.ghosts.grow(p.diameter / 2), self.ghosts.grow(np.where(p.held, 0.0, 1 / p.mass))
         self.ids, self.material = self.ghosts.grow(p.id), self.ghosts.grow(p.material).view(np.uint32)
         self.x, (self.state, self.force) = np.empty((len(self.radius), 3)), (aligned(len(self.radius), 8) for _ in range(2))
         self.state[:, 0], self.state[:, 7] = self.radius, self.inverse_mass / self.radius
-        self._lists(x, pairs, kept, step)
-        self.x0, self.age = p.position.copy(), 0
+        self._lists(x, pairs, self.ghosts.grow(room), kept, step)
+        self.x0, self.age = np.column_stack([p.position, (room - h * speeds) ** -2]), 0  # out of date a sub-step early
         self.rebuilds += 1
 
     def _choose_skin(self, smallest, largest, speed, h):
-        """A skin that lasts some tens of sub-steps; always several sub-steps of the fastest particle."""
+        """A skin that lasts some hundred sub-steps with the room that speed adds; always several of the fastest particle."""
         if self._skin is None:
             if self.skin is None:
                 self.skin = 0.1 * smallest
@@ -100,19 +111,35 @@ class ContactLists:
                 self.skin *= 1.25
             elif self.age > 400:
                 self.skin *= 0.9
-            self.skin = min(max(self.skin, 0.04 * smallest), 0.5 * smallest)
-            self.skin = max(self.skin, 6 * h * speed)
+            self.skin = min(max(self.skin, 0.04 * smallest), 0.2 * smallest)
+            self._ahead, self._most = AHEAD * h, max(0.5 * self.skin, self._widest(largest), 3 * h * speed)
         elif 4 * h * speed > self.skin:
             raise ValueError(f"The fastest particle moves {h * speed:g} m in one sub-step of {h:g} s, too much for the skin of "
                              f"{self.skin:g} m; leave skin= out, or use more steps_per_contact.")
-        if self.skin > 2 * largest > 0:
+        if self._room(speed) > largest > 0:
             raise FloatingPointError(f"The fastest particle (velocity {speed:g} m/s) moves {h * speed:g} m in one sub-step of "
                                      f"{h:g} s, more than a third of the largest diameter {largest:g} m: contacts would be "
                                      f"missed. Use a step below {0.2 * largest / speed:g} s: more steps_per_contact, or a "
                                      "stiffer law.")
 
-    def _check_period(self, largest):
-        p, need = self.particles, 2 * (largest + self.skin)
+    def _choose_wall_room(self, largest, h):
+        """How far planes and cylinders may move before the lists are out of date [m], and their speed over that [1/s]."""
+        speed = largest_of(self.particles.comm, self._wall_speed())[0]
+        self.wall_room = max(0.5 * self.skin, min(AHEAD * h * speed, WIDEST * largest), 3 * h * speed) if speed else 0.0
+        self.wall_rate = speed / self.wall_room if speed else 0.0
+
+    def _widest(self, largest):
+        """Room of the fastest particles [m], such that ghosts remain few and contacts in a periodic box unique."""
+        period = self.particles.period
+        short = np.inf if period is None or not (period > 0).any() else period[period > 0].min()
+        return min(WIDEST * largest, 0.24 * short - 0.5 * largest)
+
+    def _room(self, speed):
+        """How far particles of a speed [m/s] may move before the lists are out of date [m]."""
+        return np.minimum(0.5 * self.skin + self._ahead * speed, self._most)
+
+    def _check_period(self, largest, widest):
+        p, need = self.particles, 2 * (largest + 2 * widest)
         if p.period is not None and ((p.period > 0) & (p.period < need)).any():
             raise ValueError(f"The periodic box has lengths {p.period.tolist()}; contacts of particles of diameter {largest:g} m "
                              f"need at least {need:g} m in every periodic direction.")
@@ -173,12 +200,12 @@ class ContactLists:
                         np.concatenate([spring[~go], stretch])))
         return out
 
-    def _pairs(self):
+    def _pairs(self, room):
         """Positions and pairs with the ghosts that have a partner here; the others are given up."""
         p, n = self.particles, len(self.particles)
         x = self.ghosts.grow(p.position)
         x[n:] += self.ghosts.shift
-        first, second = neighbours.neighbour_pairs(x, self.ghosts.grow(p.diameter / 2), n, self.skin)
+        first, second = neighbours.neighbour_pairs(x, self.ghosts.grow(p.diameter / 2 + room), n)
         held = self.ghosts.grow(p.held)
         if held.any():  # two that are held have no reduced mass
             free = ~(held[first] & held[second])
@@ -189,7 +216,7 @@ class ContactLists:
         self.ghosts.keep(used[n:])
         return x[used], (first, (np.cumsum(used) - 1).astype(np.uint32)[second])
 
-    def _lists(self, x, pairs, kept, step):
+    def _lists(self, x, pairs, room, kept, step):
         """Pairs, facets and shapes near each particle, with the kept springs."""
         p, n = self.particles, len(self.particles)
         self.first, self.second = pairs
@@ -198,17 +225,17 @@ class ContactLists:
             count = len(self.tile_starts) - 1
             tile = self.ghosts.grow(np.repeat(np.arange(count), np.diff(self.tile_starts)))
             self.first, self.second, pair_starts, *apart = waves.by_tile(*pairs, tile, self.strips, count)
-        self.gap = neighbours.gaps(x, self.radius, self.first, self.second)
-        empty = np.zeros(0, np.uint32)
+        self.gap = neighbours.gaps(x, self.radius, room, self.first, self.second)
+        empty, reach = np.zeros(0, np.uint32), self.radius + room
         self.wall_particle = self.wall_facet = self.shape_particle = self.shape_wall = empty
         if self.facets is not None:
-            near = _walls.wall_list(x, self.radius, p.cell, self.skin, *self._candidates, self.facets[0], self.balls)
+            near = _walls.wall_list(x, reach, p.cell, *self._candidates, self.facets[0], self.balls)
             self.wall_particle, self.wall_facet = (a[~p.held[near[0]]].view(np.uint32) for a in near)
         if self.has_shapes:
-            near = shape_list(x, self.radius, n, self.skin, self.kind, self.shape, self.motion)
+            near = shape_list(x, reach + self.wall_room, n, self.kind, self.shape, self.motion)
             self.shape_particle, self.shape_wall = (a[~p.held[near[0]]].view(np.uint32) for a in near)
         self.scratch = _walls.scratch(self.wall_particle)
-        self.wall_gap = _walls.wall_gaps(x, self.radius, self.wall_particle, self.wall_facet, self.facet_rows[0])
+        self.wall_gap = _walls.wall_gaps(x, self.radius, room, self.wall_particle, self.wall_facet, self.facet_rows[0])
         self.listed, self.wall_listed = (np.empty(len(a) + 1, np.uint32) for a in (self.gap, self.wall_gap))
         self.near = (-1.0, 0, 0)  # see update_near
         self.waves = waves.NONE

@@ -25,7 +25,7 @@ class Contacts:
             short for ``FacetWalls(facet_tags, groups)``; absent: none.
         wall_law: law of wall contacts; absent: ``law``.
         steps_per_contact (int): sub-steps in the shortest contact.
-        skin (float): reach of the neighbour lists beyond contact [m]; absent: adapted to the motion.
+        skin (float): reach of the neighbour lists beyond contact [m]; absent: adapted to the motion of each particle.
 
     Attributes:
         steps_last (int): sub-steps of the last advance.
@@ -177,7 +177,7 @@ class Contacts:
 
     def _steps(self, h, most, drift):
         """Sub-steps with any law."""
-        lists, part, steps, wall_speed = self.lists, 0.5, 0, self.lists.wall_speed()
+        lists, part, steps = self.lists, 0.5, 0
         x, state, force = lists.x, lists.state, lists.force
         x0 = drift[2]
         self.stale = False
@@ -191,14 +191,14 @@ class Contacts:
             moved = largest(self.ranks, moved)
             self._forces(h, moved)
             lists.age += 1
-            self.stale = not math.sqrt(moved) + wall_speed * h * lists.age <= 0.5 * lists.skin
+            self.stale = not moved <= 1 or lists.wall_rate * h * lists.age > 1
         return steps
 
     def _compiled_steps(self, h, most, drift):
         """The same in one call, with a built-in law."""
         lists, rows = self.lists, self._rows()
         steps, self.stale, self.touching, behind, self.largest_overlap, lists.near = sub_steps(
-            most, h, lists.age, lists.skin, lists.wall_speed(), rows[0], drift, lists.ghosts.rows(), self.ranks, lists.waves,
+            most, h, lists.age, lists.wall_rate, rows[0], drift, lists.ghosts.rows(), self.ranks, lists.waves,
             *rows[1:], self.step, self.block, self._numbers(), self.largest_overlap)
         self.step, lists.age = self.step + steps, lists.age + steps
         self.behind = behind if behind >= 0 else self.behind
@@ -237,13 +237,13 @@ class Contacts:
                 (lists.motion, lists.wall_material, self.wall_impulse, np.array([self.largest_overlap])))
 
     def _forces(self, h, moved):
-        """Wall and pair forces at one instant, when particles have moved by up to ``sqrt(moved)`` since the lists were made."""
+        """Wall and pair forces at one instant, when particles have moved by up to ``sqrt(moved)`` of their room."""
         lists, rows = self.lists, self._rows()
         self.step += 1
         if isinstance(self.law, ArrayLaw):
             return self._array_forces(h, moved, rows)
         self.touching, behind, self.largest_overlap, lists.near = all_forces(
-            *rows, moved, lists.skin, self.step, self.block, self._numbers(), h, self.largest_overlap)
+            *rows, moved, self.step, self.block, self._numbers(), h, self.largest_overlap)
         self.behind = behind if behind >= 0 else self.behind
         return None
 
@@ -252,7 +252,7 @@ class Contacts:
         (x, state, force, radius, inverse_mass, _), pairs, found, near, facets, shapes, walls = rows
         lists, touching_walls = self.lists, 0
         if self.walls:
-            lists.near = update_near(moved, lists.skin, *found, *near)
+            lists.near = update_near(moved, *found, *near)
             touching_walls, behind = wall_forces(rows[0], lists.wall_listed[:lists.near[2]], facets, shapes, walls, self.step,
                                                  self.block[1], self.wall_law.numbers, h)
             self.behind = behind if behind >= 0 else self.behind

@@ -63,7 +63,8 @@ def kick(state, force, inverse_mass, inverse_inertia, h, owned):
 def kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0, part, h, begin, end):
     """Kick some particles by ``part`` of a step, drift by a step, reset their forces.
 
-    Returns the largest squares of their displacement from x0, velocity, and change of velocity.
+    Returns the largest squares of their displacement from x0, velocity, and change of velocity, each over the room of the particle;
+    the last column of x0 (particles, 4) is one over the square of that [1/m^2].
     """
     largest, fastest, hardest = 0.0, 0.0, 0.0
     for i in range(begin, end):
@@ -79,7 +80,8 @@ def kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0,
             s += q * q
             v += state[i, 1 + k] * state[i, 1 + k]
         force[i, 3] = force[i, 7] = 0.0
-        fastest, hardest = max(v, fastest), max(c, hardest)
+        s *= x0[i, 3]
+        fastest, hardest = max(v * x0[i, 3], fastest), max(c * x0[i, 3], hardest)
         if not s <= largest:
             largest = s
     return largest, fastest, hardest
@@ -103,7 +105,8 @@ def kick_and_drift_fading(x, state, force, external, inverse_mass, inverse_inert
             s += q * q
             v += state[i, 1 + k] * state[i, 1 + k]
         force[i, 3] = force[i, 7] = 0.0
-        fastest, hardest = max(v, fastest), max(c, hardest)
+        s *= x0[i, 3]
+        fastest, hardest = max(v * x0[i, 3], fastest), max(c * x0[i, 3], hardest)
         if not s <= largest:
             largest = s
     return largest, fastest, hardest

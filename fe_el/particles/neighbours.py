@@ -1,7 +1,7 @@
 """Neighbour lists with a skin, and the springs of contacts that survive their renewal.
 
-Particles are binned in one grid per class of diameters (each twice the one before): every particle searches its own class
-and the coarser ones, so the cost follows the number of neighbours however wide the size distribution is.
+Particles are binned in one grid per class of reaches (each twice the one before): every particle searches its own class and the
+coarser ones, or is searched by these if they are few, so the cost follows the number of neighbours however wide the sizes spread.
 """
 import numpy as np
 from numba import njit
@@ -76,9 +76,9 @@ def _sorted_by_box(x, radius, level, lower, size, shape, offset):
 
 
 @njit(cache=True)
-def _pairs_with(n, begin, end, rows, order, owned, skin, first, second, number):
+def _pairs_with(n, begin, end, rows, order, owned, first, second, number):
     """Pairs of entry n with the entries from begin to end; returns the number of pairs so far."""
-    x, y, z, reach, i = rows[n, 0], rows[n, 1], rows[n, 2], rows[n, 3] + skin, order[n]
+    x, y, z, reach, i = rows[n, 0], rows[n, 1], rows[n, 2], rows[n, 3], order[n]
     for k in range(begin, end):
         dx, dy, dz, r = rows[k, 0] - x, rows[k, 1] - y, rows[k, 2] - z, rows[k, 3] + reach
         if dx * dx + dy * dy + dz * dz < r * r:
@@ -91,13 +91,41 @@ def _pairs_with(n, begin, end, rows, order, owned, skin, first, second, number):
 
 
 @njit(cache=True)
-def _search(order, rows, start, owned, skin, lower, size, shape, offset, first, second):
-    """Fill the pairs closer than the skin, the first one owned; returns their number (beyond the capacity: only counted).
+def _few(start, size, offset):
+    """Whether the particles of a coarser class are so few that they had better search the finer one: (finer, coarser)."""
+    few = np.zeros((len(size), len(size)), np.bool_)
+    for g in range(len(size)):
+        for coarse in range(g + 1, len(size)):
+            fine = float(start[offset[g + 1]] - start[offset[g]])
+            number = float(start[offset[coarse + 1]] - start[offset[coarse]])
+            few[g, coarse] = number * (size[coarse] / size[g] + 2) ** 2 < 9 * fine  # lines of boxes
+    return few
+
+
+@njit(cache=True)
+def _pairs_of_few(g, coarse, order, rows, start, owned, lower, size, shape, offset, first, second, number):
+    """Pairs of the particles of a coarser class with those of class g; returns the number of pairs so far."""
+    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    for n in range(start[offset[coarse]], start[offset[coarse + 1]]):
+        reach = rows[n, 3] + 0.5 * size[g]
+        for k in range(3):
+            low[k] = max(int((rows[n, k] - reach - lower[k]) / size[g]), 0)
+            high[k] = min(int((rows[n, k] + reach - lower[k]) / size[g]), shape[g, k] - 1)
+        for a in range(low[0], high[0] + 1):
+            for b in range(low[1], high[1] + 1):
+                at = offset[g] + (a * shape[g, 1] + b) * shape[g, 2]
+                number = _pairs_with(n, start[at + low[2]], start[at + high[2] + 1], rows, order, owned, first, second, number)
+    return number
+
+
+@njit(cache=True)
+def _search(order, rows, start, owned, lower, size, shape, offset, first, second):
+    """Fill the pairs that reach each other, the first one owned; returns their number (beyond the capacity: only counted).
 
     Boxes that follow each other in the last direction follow each other in memory: their particles are one range.
     """
     number, begin, end = 0, np.empty(9, np.uint64), np.empty(9, np.uint64)
-    one = np.uint64(1)
+    one, few = np.uint64(1), _few(start, size, offset)
     for g in range(len(size)):
         for box in range(offset[g], offset[g + 1]):
             if start[box] == start[box + 1]:
@@ -111,17 +139,21 @@ def _search(order, rows, start, owned, skin, lower, size, shape, offset, first, 
                     begin[lines], end[lines] = start[at + low], start[at + high]
                     lines += 1
             for n in range(start[box], start[box + 1]):
-                number = _pairs_with(n, n + one, start[box - c + high], rows, order, owned, skin, first, second, number)
+                number = _pairs_with(n, n + one, start[box - c + high], rows, order, owned, first, second, number)
                 for k in range(lines):
-                    number = _pairs_with(n, begin[k], end[k], rows, order, owned, skin, first, second, number)
+                    number = _pairs_with(n, begin[k], end[k], rows, order, owned, first, second, number)
                 for coarse in range(g + 1, len(size)):
+                    if few[g, coarse]:
+                        continue
                     p, q, r = _box(rows, n, lower, size, shape, coarse)
                     low_r, high_r = max(r - 1, 0), min(r + 2, shape[coarse, 2])
                     for i in range(max(p - 1, 0), min(p + 2, shape[coarse, 0])):
                         for j in range(max(q - 1, 0), min(q + 2, shape[coarse, 1])):
                             at = offset[coarse] + (i * shape[coarse, 1] + j) * shape[coarse, 2]
-                            number = _pairs_with(n, start[at + low_r], start[at + high_r], rows, order, owned, skin, first, second,
-                                                 number)
+                            number = _pairs_with(n, start[at + low_r], start[at + high_r], rows, order, owned, first, second, number)
+        for coarse in range(g + 1, len(size)):
+            if few[g, coarse]:
+                number = _pairs_of_few(g, coarse, order, rows, start, owned, lower, size, shape, offset, first, second, number)
     return number
 
 
@@ -141,14 +173,14 @@ def _by_first(first, second, owned):
     return a, b
 
 
-def neighbour_pairs(x, radius, owned, skin):
-    """Pairs (first, second) closer than the skin, each once, the first one owned, in the order of the first."""
+def neighbour_pairs(x, radius, owned):
+    """Pairs (first, second) of spheres that overlap, each once, the first one owned, in the order of the first."""
     if owned == 0:
         return np.empty(0, np.uint32), np.empty(0, np.uint32)
     smallest, biggest = radius.min(), radius.max()
     level, largest = _classes(radius, smallest, int(np.log2(biggest / smallest * (1 + 1e-12))) + 1)
     lower, _, extent = bounds(x)
-    size = 2 * largest + skin
+    size = 2 * largest
     shape = np.empty((len(size), 3), np.int64)
     for g in range(len(size)):
         while (extent / size[g] + 1).prod() > 4 * len(x) + 64:  # sparse clouds: no more boxes than particles need
@@ -158,21 +190,21 @@ def neighbour_pairs(x, radius, owned, skin):
     cloud = _sorted_by_box(x, radius, level, lower, size, shape, offset)
     capacity = 6 * len(x) + 64
     first, second = np.empty(capacity, np.uint32), np.empty(capacity, np.uint32)
-    number = _search(*cloud, owned, skin, lower, size, shape, offset, first, second)
+    number = _search(*cloud, owned, lower, size, shape, offset, first, second)
     if number > capacity:
         first, second = np.empty(number, np.uint32), np.empty(number, np.uint32)
-        _search(*cloud, owned, skin, lower, size, shape, offset, first, second)
+        _search(*cloud, owned, lower, size, shape, offset, first, second)
     return _by_first(first[:number], second[:number], owned)
 
 
 @njit(cache=True)
-def gaps(x, radius, first, second):
-    """Distance of the surfaces of each pair, negative in contact."""
+def gaps(x, radius, room, first, second):
+    """Distance of the surfaces of each pair over the room of both, negative in contact."""
     gap = np.empty(len(first))
     for k in range(len(first)):
         i, j = first[k], second[k]
         dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
-        gap[k] = np.sqrt(dx * dx + dy * dy + dz * dz) - radius[i] - radius[j]
+        gap[k] = (np.sqrt(dx * dx + dy * dy + dz * dz) - radius[i] - radius[j]) / (room[i] + room[j])
     return gap
 
 

@@ -24,17 +24,17 @@ def prune(gap, reach, near):
 
 
 @njit(cache=True)
-def update_near(moved, skin, gap, wall_gap, listed, wall_listed, reach, number, walls):
-    """Widen the lists of what may touch, as particles have moved by up to ``sqrt(moved)``; returns the last three anew.
+def update_near(moved, gap, wall_gap, listed, wall_listed, reach, number, walls):
+    """Widen the lists of what may touch, particles having moved by up to ``sqrt(moved)`` of their room; returns the last three.
 
-    ``gap`` and ``wall_gap`` are those of all pairs when they were found; of these the first ``number`` and ``walls`` entries of
-    ``listed`` and ``wall_listed`` may touch by now.
+    ``gap`` and ``wall_gap`` are those of all pairs when they were found, over the room of both; of these the first ``number`` and
+    ``walls`` entries of ``listed`` and ``wall_listed`` may touch by now.
     """
-    need = 2 * math.sqrt(moved)
+    need = math.sqrt(moved)
     if need >= reach:
-        reach = max(2 * need, skin / 16)
-        reach = reach if reach < skin else math.inf  # all
-        number, walls = prune(gap, reach, listed), prune(wall_gap, 0.5 * reach, wall_listed)
+        reach = max(2 * need, 1 / 16)
+        reach = reach if reach < 1 else math.inf  # all
+        number, walls = prune(gap, reach, listed), prune(wall_gap, reach, wall_listed)
     return reach, number, walls
 
 
@@ -52,14 +52,14 @@ def wall_forces(particles, listed, facets, shapes, walls, step, block, numbers, 
 
 
 @njit(cache=True)
-def all_forces(particles, pairs, found, near, facets, shapes, walls, moved, skin, step, block, laws, h, deepest):
-    """Forces of walls and pairs with built-in laws, when particles have moved by up to ``sqrt(moved)``.
+def all_forces(particles, pairs, found, near, facets, shapes, walls, moved, step, block, laws, h, deepest):
+    """Forces of walls and pairs with built-in laws, when particles have moved by up to ``sqrt(moved)`` of their room.
 
     Returns:
         touching pairs and walls, a particle behind a wall or -1, largest overlap over diameter so far, and ``near`` anew.
     """
     x, state, force, radius, _, material = particles
-    near = update_near(moved, skin, *found, *near)
+    near = update_near(moved, *found, *near)
     listed, wall_listed = found[2][:near[1]], found[3][:near[2]]
     touching_walls, behind = wall_forces(particles, wall_listed, facets, shapes, walls, step, block[1], laws[1], h)
     touching, deepest = pair_forces(x, state, force, radius, material, listed, *pairs, step, block[0], laws[0], h, deepest)
@@ -67,19 +67,19 @@ def all_forces(particles, pairs, found, near, facets, shapes, walls, moved, skin
 
 
 @njit(cache=True)
-def wave(number, ahead, h, particles, drift, ghosts, waves, pairs, found, near, facets, shapes, walls, skin, step, block, laws,
-         deepest):
-    """``number`` sub-steps that follow each other through the tiles; displacements are meant to stay below ``ahead``.
+def wave(number, ahead, h, particles, drift, ghosts, waves, pairs, found, near, facets, shapes, walls, step, block, laws, deepest):
+    """``number`` sub-steps that follow each other through the tiles; displacements are meant to stay below ``ahead``,
+    a share of the particles' room.
 
     Returns:
-        largest squares of displacement, velocity and its change, and what :func:`all_forces` returns.
+        largest squares of displacement, velocity and its change, over the room, and what :func:`all_forces` returns.
     """
     x, state, force, radius, inverse_mass, material = particles
     starts, pair_at, wall_at, shape_at, image_at, images, strips, apart, apart_strips, _, width = waves
     owned, slabs, touching, behind = len(drift[2]), (len(starts) - 1) // strips, 0, -1
     blocks, rows = (strips + (number - 1) * (apart_strips + 1) + width - 1) // width, slabs + (number - 1) * (apart + 1)
     moved, speed, change, reach = 0.0, 0.0, 0.0, -1.0
-    near = update_near(ahead * ahead, skin, *found, *near)
+    near = update_near(ahead * ahead, *found, *near)
     for row in range(blocks * rows):
         block_end = (row // rows + 1) * width
         for s in range(number):
@@ -92,7 +92,7 @@ def wave(number, ahead, h, particles, drift, ghosts, waves, pairs, found, near, 
             moved, speed, change = max(moved, d2), max(speed, v2), max(change, c2)
             moved = math.inf if math.isnan(d2) else moved
             refresh_images(images[image_at[c]:image_at[e]], ghosts[3], ghosts[5], owned, x, state, force)
-            near = update_near(moved, skin, *found, *near)
+            near = update_near(moved, *found, *near)
             if near[0] != reach:  # the lists were made anew
                 reach, a, b = near[0], part_of(found[2], near[1], pair_at), part_of(found[3], near[2], wall_at)
             p, q = shape_at[c], shape_at[e]
@@ -105,9 +105,11 @@ def wave(number, ahead, h, particles, drift, ghosts, waves, pairs, found, near, 
 
 
 @njit(cache=True)
-def sub_steps(most, h, age, skin, wall_speed, particles, drift, ghosts, ranks, waves, pairs, found, near, facets, shapes, walls,
+def sub_steps(most, h, age, wall_rate, particles, drift, ghosts, ranks, waves, pairs, found, near, facets, shapes, walls,
               step, block, laws, deepest):
     """Sub-steps with built-in laws, at most ``most``, until the lists are out of date; the first kick is half a step. Collective.
+
+    ``wall_rate`` is the largest speed of a wall over the room it has before the lists are out of date [1/s].
 
     Returns:
         sub-steps made, whether the lists are out of date, and what :func:`all_forces` returns, of any sub-step for a particle
@@ -124,16 +126,16 @@ def sub_steps(most, h, age, skin, wall_speed, particles, drift, ghosts, ranks, w
             force[owned:] = 0.0
             move_walls(shapes[4], shapes[5], walls[0], h)
             moved = largest(ranks, moved)
-            touching, back, deepest, near = all_forces(particles, pairs, found, near, facets, shapes, walls, moved, skin,
+            touching, back, deepest, near = all_forces(particles, pairs, found, near, facets, shapes, walls, moved,
                                                        step + made + 1, block, laws, h, deepest)
         else:
             moved, speed, change, touching, back, deepest, near = wave(
-                number, ahead, h, particles, drift, ghosts, waves, pairs, found, near, facets, shapes, walls, skin, step + made + 1,
+                number, ahead, h, particles, drift, ghosts, waves, pairs, found, near, facets, shapes, walls, step + made + 1,
                 block, laws, deepest)
         behind, made, part = max(behind, back), made + number, 1.0
-        room = 0.5 * skin - math.sqrt(moved)
-        stale = not wall_speed * h * (age + made) <= room
-        if len(waves[0]) > 1 and wall_speed == 0.0 and not stale:
+        room = 1 - math.sqrt(moved)
+        stale = not room >= 0 or wall_rate * h * (age + made) > 1
+        if len(waves[0]) > 1 and wall_rate == 0.0 and not stale:
             number, ahead = wave_length(min(most - made, waves[9]), room, h, math.sqrt(speed), math.sqrt(change))
             ahead += math.sqrt(moved)
     return made, stale, touching, behind, deepest, near

@@ -102,12 +102,12 @@ def _surface_point(kind, shape, origin, x, y, z):
 
 
 @njit(cache=True)
-def shape_list(x, radius, owned, skin, kind, shape, motion):
-    """Pairs (particle, wall) within the skin of planes and cylinders."""
+def shape_list(x, reach, owned, kind, shape, motion):
+    """Pairs (particle, wall) within reach (particles,) [m] of planes and cylinders."""
     particle, wall = [np.int32(0) for _ in range(0)], [np.int32(0) for _ in range(0)]
     for i in range(owned):
         for n in range(len(kind)):
-            if kind[n] < 2 and _surface_point(kind[n], shape[n], motion[n], x[i, 0], x[i, 1], x[i, 2])[3] < radius[i] + skin:
+            if kind[n] < 2 and _surface_point(kind[n], shape[n], motion[n], x[i, 0], x[i, 1], x[i, 2])[3] < reach[i]:
                 particle.append(np.int32(i))
                 wall.append(np.int32(n))
     return np.array(particle, dtype=np.int32), np.array(wall, dtype=np.int32)

@@ -114,10 +114,10 @@ def facet_balls(corner):
 
 
 @njit(cache=True)
-def _list(x, radius, cell, skin, cell_start, cell_facet, corner, ball, particle, facet):
+def _list(x, reach_of, cell, cell_start, cell_facet, corner, ball, particle, facet):
     number = 0
     for i in range(len(cell)):
-        reach = radius[i] + skin
+        reach = reach_of[i]
         for k in range(cell_start[cell[i]], cell_start[cell[i] + 1]):
             f = cell_facet[k]
             dx, dy, dz, far = x[i, 0] - ball[f, 0], x[i, 1] - ball[f, 1], x[i, 2] - ball[f, 2], reach + ball[f, 3]
@@ -131,25 +131,25 @@ def _list(x, radius, cell, skin, cell_start, cell_facet, corner, ball, particle,
     return number
 
 
-def wall_list(x, radius, cell, skin, cell_start, cell_facet, corner, ball):
-    """Facets within the skin of each particle: (particle, facet), in the order of the particles."""
+def wall_list(x, reach, cell, cell_start, cell_facet, corner, ball):
+    """Facets within reach (particles,) [m] of each particle: (particle, facet), in the order of the particles."""
     capacity = 2 * len(cell) + 64
     while True:
         particle, facet = np.empty(capacity, np.int32), np.empty(capacity, np.int32)
-        number = _list(x, radius, cell, skin, cell_start, cell_facet, corner, ball, particle, facet)
+        number = _list(x, reach, cell, cell_start, cell_facet, corner, ball, particle, facet)
         if number <= capacity:
             return particle[:number].copy(), facet[:number].copy()
         capacity = number
 
 
 @njit(cache=True)
-def wall_gaps(x, radius, particle, facet, corner):
-    """Distance of the surface of each particle of a list from its facet, negative in contact."""
+def wall_gaps(x, radius, room, particle, facet, corner):
+    """Distance of the surface of each particle of a list from its facet over the particle's room, negative in contact."""
     gap = np.empty(len(particle))
     for k in range(len(particle)):
         i = particle[k]
         qx, qy, qz, _, _, _ = nearest_point(corner[facet[k]], x[i, 0], x[i, 1], x[i, 2])
-        gap[k] = np.sqrt((qx - x[i, 0]) ** 2 + (qy - x[i, 1]) ** 2 + (qz - x[i, 2]) ** 2) - radius[i]
+        gap[k] = (np.sqrt((qx - x[i, 0]) ** 2 + (qy - x[i, 1]) ** 2 + (qz - x[i, 2]) ** 2) - radius[i]) / room[i]
     return gap
 
 

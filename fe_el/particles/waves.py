@@ -86,7 +86,10 @@ def at_once(particles, slabs, apart, strips, apart_strips):
 
 @njit(cache=True)
 def wave_length(most, room, step, speed, change):
-    """How many sub-steps keep displacements within ``room``, with twice the speed and its change there are now: (number, reach)."""
+    """How many sub-steps keep displacements within ``room``, with twice the speed and its change there are now: (number, reach).
+
+    All of them are over the room of each particle.
+    """
     number, ahead = 1, 0.0
     for n in range(2, most + 1):
         reach = 2 * n * step * (speed + n * change)
