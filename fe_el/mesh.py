@@ -171,7 +171,7 @@ def boundary_facets(mesh, facet_tags, groups):
     """
     d = mesh.topology.dim
     groups = require_groups(mesh, facet_tags, groups)
-    mesh.topology.create_connectivity(d - 1, d)
+    refuse_inner_facets(mesh, facet_tags, groups)
     mesh.topology.create_connectivity(d, d - 1)
     to_cell, to_facet = mesh.topology.connectivity(d - 1, d), mesh.topology.connectivity(d, d - 1)
     corner, vertex = owned_corners(mesh)
@@ -216,6 +216,23 @@ def exterior_facets(mesh, facet_tags, groups):
             flags.append(facet in chosen)
     parts = mesh.comm.allgather((np.array(corners).reshape(-1, d, 3), np.array(flags, bool)))
     return np.concatenate([c for c, _ in parts]), np.concatenate([f for _, f in parts])
+
+
+def refuse_inner_facets(mesh, facet_tags, groups):
+    """Raise ``ValueError`` on every rank if a group has facets between two cells: they are no boundary.
+
+    Note:
+        Collective.
+    """
+    d = mesh.topology.dim
+    mesh.topology.create_connectivity(d - 1, d)
+    count = np.diff(mesh.topology.connectivity(d - 1, d).offsets)
+    for group in groups:
+        number = mesh.comm.allreduce(int((count[facet_tags.indices[facet_tags.values == group]] > 1).sum()))
+        if number:
+            raise ValueError(f"Boundary group {group} has facets between two cells ({number}, those between ranks counted by each); walls, "
+                             "inlets and outlets are outer facets. Tag outer facets alone, or cut the mesh open along the group (gmsh: "
+                             "Plugin Crack).")
 
 
 def require_groups(mesh, facet_tags, groups):

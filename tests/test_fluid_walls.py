@@ -216,3 +216,6 @@ def test_bad_walls_are_refused_with_a_sentence():
     baffle = fe_el.VolumeAveragedNavierStokes(mesh, dmesh.meshtags(mesh, 1, inner, np.full(len(inner), 9, np.int32)))
     with pytest.raises(ValueError, match="between two cells"):
         baffle.set_no_slip(9)
+    beads = fe_el.Particles(mesh, 1000.0)
+    with pytest.raises(ValueError, match="between two cells"):
+        fe_el.Contacts(beads, fe_el.LinearSpringDashpot(100.0, 0.9, 0.1), walls=(baffle.facet_tags, 9))

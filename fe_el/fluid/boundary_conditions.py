@@ -5,7 +5,7 @@ from fe_el.exchange import raise_everywhere
 from fe_el.fluid import cell_kernels, node_kernels
 from fe_el.fluid.boundary_values import velocity_at, volume_flux
 from fe_el.fluid.walls import WallFriction, held_directions
-from fe_el.mesh import require_groups
+from fe_el.mesh import refuse_inner_facets, require_groups
 
 
 class BoundaryFacets:
@@ -22,12 +22,11 @@ class BoundaryFacets:
 
     def __init__(self, mesh, facet_tags, group, dofs, corner, gradient, volume, node_halo, num_nodes):
         require_groups(mesh, facet_tags, group)
+        refuse_inner_facets(mesh, facet_tags, (group,))
         d = mesh.topology.dim
-        mesh.topology.create_connectivity(d - 1, d)
         mesh.topology.create_connectivity(d, d - 1)
         to_cell, to_facet = mesh.topology.connectivity(d - 1, d), mesh.topology.connectivity(d, d - 1)
         facet = facet_tags.indices[facet_tags.values == group]
-        self._refuse_inner(mesh, group, facet[np.diff(to_cell.offsets)[facet] > 1])
         cell = to_cell.array[to_cell.offsets[facet]].astype(np.int64)
         facet, cell = facet[cell < len(corner)], cell[cell < len(corner)]
         self.cell, self.local = cell, np.argmax(to_facet.array.reshape(-1, d + 1)[cell] == facet[:, None], axis=1)
@@ -44,15 +43,6 @@ class BoundaryFacets:
         node_halo.complete(number)
         self.nodes = np.flatnonzero(number)
         self.number = number[self.nodes]
-
-    @staticmethod
-    def _refuse_inner(mesh, group, inner):
-        """A facet between two cells is no boundary."""
-        number = mesh.comm.allreduce(len(inner))
-        message = (f"Boundary group {group} has facets between two cells ({number}, those between ranks counted by each); the fluid "
-                   "has boundary conditions on outer facets only. Tag outer facets alone, or cut the mesh open along the group "
-                   "(gmsh: Plugin Crack).") if number else None
-        raise_everywhere(mesh.comm, ValueError, message)
 
     def add_to_nodes(self, values, total):
         """Add one value for each facet of this rank to each of its nodes, in ``total`` (nodes,)."""
