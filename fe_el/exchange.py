@@ -15,6 +15,13 @@ def largest_of(comm, *numbers):
     return out
 
 
+def sums_of(comm, *numbers):
+    """Sum of each number over all ranks, as an array. Collective."""
+    out = np.empty(len(numbers))
+    comm.Allreduce(np.array(numbers, float), out)
+    return out
+
+
 def raise_everywhere(comm, error, message):
     """Raise ``error(message)`` on every rank if any rank has a message. Collective."""
     messages = [m for m in comm.allgather(message) if m] if comm.size > 1 else [message] * bool(message)

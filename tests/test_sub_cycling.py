@@ -110,6 +110,7 @@ def test_void_fraction_changes_linearly_over_the_steps(monkeypatch):
     void, drag, source = fem.Function(scalar), fem.Function(scalar), fem.Function(vector)
     steps, ends = fe_el.SubCycled(air, 5), [np.random.default_rng(k).uniform(0.5, 0.9, air.num_cells) for k in range(4)]
     for end in ends:
+        end += 0.7 - air.volume @ end / air.volume.sum()  # a closed box holds the same fluid throughout
         void.x.array[:] = end
         steps.advance(0.05, (void, drag, source))
     for k, (old, new) in enumerate(pairwise(ends)):

@@ -4,15 +4,16 @@ import time
 
 import numpy as np
 from dolfinx import fem
-from mpi4py import MPI
 
 from fe_el.coupling import mapping as _mapping
+from fe_el.coupling import particle_loops as loops
 from fe_el.coupling.fields import CellMean, PressureGradientMean, ViscousStressMean
 from fe_el.coupling.forces import FORCES
 from fe_el.coupling.over_filled import Spill
 from fe_el.coupling.schemes import Exchange, scheme_of
 from fe_el.coupling.smoothing import FixedValues
-from fe_el.exchange import largest_of, raise_everywhere
+from fe_el.exchange import largest_of, raise_everywhere, sums_of
+from fe_el.fluid.work_arrays import WorkArrays
 
 LIQUID = 0.1  # density of a fluid over that of the particles, from which its answer to displaced volume drives them
 
@@ -76,7 +77,7 @@ class Coupling:
                              "Buoyancy().")
         self.particles, self.comm, mesh = particles, particles.comm, particles.mesh
         self.density, self.viscosity, self.largest = fluid_density, fluid_viscosity, largest_solid_fraction
-        self.dimension, self.answers = mesh.topology.dim, False  # whether the fluid changed in the last step
+        self.dimension, self.answers = mesh.topology.dim, None  # whether the fluid changed in the last step
         self.ahead = {"start": 0.0, "middle": 0.5, None: None if mean_velocity is None else 0.5}[positions]
         d = self.dimension
         self.drag, self.pressure_force, viscous, self.buoyancy = (
@@ -97,7 +98,7 @@ class Coupling:
         self.seconds = {"mapping": 0.0, "drag": 0.0}
         if smoothing is not None:
             self.seconds["smoothing"] = 0.0
-        self._kept = self._mapped = None
+        self._kept, self._mapped, self._work, self._none = None, None, WorkArrays(), np.zeros((0, d))
         self.over_filled, self.over_filled_total, self.solid_volume_error = 0, 0, 0.0
         self.momentum_imbalance, self.max_solid_fraction = 0.0, 0.0
 
@@ -111,15 +112,20 @@ class Coupling:
         """
         tick = self._begin()
         p = self.particles
+        self._steady = np.zeros(self.dimension)  # force per volume that needs no field
+        if self.pressure_force is not None:
+            self._steady += self.pressure_force.mean[:self.dimension]
+        if self.buoyancy is not None:
+            self._steady -= self.density * p.gravity[:self.dimension]
         self.cell_velocity = self.velocity_mean().copy()
         if not self._as_before():
             self._map(dt)
         self._end("mapping", tick)
         tick = self._begin()
-        self.explicit_reaction = np.zeros((len(p), self.dimension))
+        self.explicit_reaction = self._none
         if self.stress_mean is not None:
             stress = self._gather(self._back(self.stress_mean(self.cell_velocity)))
-            self.explicit_reaction = p.volume[:, None] * stress
+            self.explicit_reaction = self.volume * stress
         if self.drag is not None:
             self._drag_fields(dt)
         elif self.stress_mean is not None:
@@ -142,7 +148,7 @@ class Coupling:
         """Share of the step after which places are taken; see ``positions``."""
         if self.ahead is not None:
             return self.ahead
-        if not self.answers:
+        if self.answers is False:
             return 0.5
         cells, d = self.particles.cells, self.dimension
         volume = cells.volume[:cells.owned] / (self.particles.thickness if d == 2 else 1.0)
@@ -158,35 +164,36 @@ class Coupling:
         """Shares of the cells in every particle, and the void fraction."""
         p = self.particles
         self.position_cell, position = p.located(self._share_ahead(dt) * dt)
+        self.volume = self._work.empty("volume", len(p), 1)
+        volume = loops.volumes(p.diameter, self.volume)
         self.mapping.prepare(p.cells, self.position_cell, position, 0.5 * p.diameter)
         if self.linear is not None:
             self.linear.prepare(p.cells, self.position_cell, position, 0.5 * p.diameter)
-        content = self._volumes(self._smooth(self._deposit(p.volume[:, None])[:p.cells.owned] / self._owned_volume()))
+        content = self._volumes(self._smooth(self._deposit(self.volume)[:p.cells.owned] / self._owned_volume()))
         self.spill = Spill(p.cells, p.halo, content[:, 0], self.largest)
-        self.over_filled = self.comm.allreduce(self.spill.over_filled)
+        self.over_filled = self.spill.over_filled_everywhere
         self.over_filled_total += self.over_filled
         self.solid = self.spill(content)[:, :1] / p.cells.volume[:, None]
-        self._solid_ledger()
+        self._solid_ledger(volume)
         self._set(0, 1 - self.solid)
 
     def _drag_fields(self, dt):
         """A and B from the drag of each particle over the coming step."""
         p, d = self.particles, self.dimension
-        cell_velocity = self.cell_velocity
-        smooth = self._old_velocity(cell_velocity)
-        mean = self._gather(smooth)
-        offset = np.zeros_like(mean)
+        cell_velocity, n, velocity = self.cell_velocity, p.cells.owned, p.velocity[:, :d]
+        back, offset = self._old_velocity(cell_velocity), None
+        mean = self._gather(np.hstack([self.solid, back]), "solid_and_velocity")
         if self.linear is not None:
-            linear = np.empty_like(mean)
-            self.linear.gather(smooth, linear)
-            offset = linear - mean
-        slip = np.linalg.norm(mean + offset - p.velocity[:, :d], axis=1)
-        beta = self._coefficient(self._gather(self.solid)[:, 0], slip)
-        column, n = beta[:, None], p.cells.owned
-        density = np.where(p.held, np.inf, p.density)[:, None]
-        exchange = Exchange(dt, p.volume[:, None], density, p.velocity[:, :d], self._acceleration(), column, mean + offset,
-                            offset, self._to_cells, lambda q: self._deposit(q)[:n], cell_velocity,
-                            self.fixed or (lambda field, filled: field))
+            linear = self._work.empty("linear", len(p), d)
+            self.linear.gather(back, linear)
+            offset = linear - mean[:, 1:]
+            mean[:, 1:] = linear
+        solid, slip = self._work.empty("solid", len(p)), self._work.empty("slip", len(p))
+        loops.fluid_at_particles(mean, velocity, solid, slip)
+        beta = self._coefficient(solid, slip)
+        inertia, acceleration = self._accelerations()
+        exchange = Exchange(dt, self.volume, inertia, velocity, acceleration, beta[:, None], mean[:, 1:], offset, self._to_cells,
+                            lambda q: self._deposit(q)[:n], cell_velocity, self.fixed or (lambda field, filled: field))
         a, b = self.scheme.fields(exchange)
         if self.stress_mean is not None:
             b = b - self._to_cells(self.explicit_reaction)
@@ -197,35 +204,25 @@ class Coupling:
         """Drag coefficient of each particle, checked."""
         p, sauter = self.particles, None
         if self.drag.polydisperse:
-            sums = self._gather(self._on_cells(self._to_cells(np.column_stack([p.volume, p.volume / p.primary_diameter]))))
+            sums = self._gather(self._on_cells(self._to_cells(np.hstack([self.volume, self.volume / p.primary_diameter[:, None]]))))
             sauter = sums[:, 0] / sums[:, 1]
         beta = self.drag.coefficient(solid, slip, p.primary_diameter, self.density, self.viscosity, sauter)
-        bad, message = np.flatnonzero(~(np.isfinite(beta) & (beta >= 0))), None
-        if len(bad):
-            i = bad[0]
+        i, message = loops.first_bad(beta), None
+        if i >= 0:
             message = (f"The drag law gave {beta[i]:g} for particle {p.id[i]} at solid fraction {solid[i]:g} and slip "
                        f"{slip[i]:g} m/s (step {p.step}, rank {self.comm.rank}); it must be finite and not negative. Check the "
                        "law's range or use larger cells.")
         raise_everywhere(self.comm, FloatingPointError, message)
         return beta
 
-    def _acceleration(self):
-        """(particles, d) by gravity, the last mean contact force, and the other forces of the fluid as of the last step."""
-        p, d = self.particles, self.dimension
-        other = self._steady_force() + self.explicit_reaction
-        if "_pressure_gradient" in p.properties:
-            other = other - p.volume[:, None] * p.properties["_pressure_gradient"]
-        return np.where(p.held[:, None], 0.0, p.gravity[:d] + (p.mean_contact_force[:, :d] + other) / p.mass[:, None])
-
-    def _steady_force(self):
-        """(particles, d) forces that need no field: mean pressure gradient and buoyancy."""
-        p, d = self.particles, self.dimension
-        force = np.zeros((len(p), d))
-        if self.pressure_force is not None:
-            force += p.volume[:, None] * self.pressure_force.mean[:d]
-        if self.buoyancy is not None:
-            force -= self.density * p.volume[:, None] * p.gravity[:d]
-        return force
+    def _accelerations(self):
+        """Densities (particles, 1), infinite if held, and accelerations (particles, d): by gravity, the last mean contact force,
+        and the other forces of the fluid as of the last step."""
+        p, n = self.particles, len(self.particles)
+        inertia, acceleration = self._work.empty("inertia", n, 1), self._work.empty("acceleration", n, self.dimension)
+        loops.accelerations(p.held, self.volume, p.density, p.gravity, self._steady, p.mean_contact_force, self.explicit_reaction,
+                            p.properties.get("_pressure_gradient", self._none), inertia, acceleration)
+        return inertia, acceleration
 
     # -- fluid to particles --------------------------------------------------------------------------------------------
 
@@ -236,31 +233,33 @@ class Coupling:
             Collective.
         """
         tick = self._begin()
-        p, d = self.particles, self.dimension
-        force, volume = self.explicit_reaction.copy(), self._owned_volume()
+        p, d, volume = self.particles, self.dimension, self._owned_volume()
         a, b = self.fields[1].x.array[:len(volume), None], self.fields[2].x.array.reshape(-1, d)[:len(volume)]
         u = self.step_mean()
-        if self.ahead is None:
-            self.answers = self.comm.allreduce(int(not np.array_equal(u, self.cell_velocity))) > 0
-        received = (volume * (b - a * u)).sum(0)
-        p.relaxation_rate = np.zeros(len(p))
+        received, changed = (volume * (b - a * u)).sum(0), self.ahead is None and not np.array_equal(u, self.cell_velocity)
         slope = self.gradient_mean() if self.pressure_force is not None else np.zeros((len(volume), 0))
         back = self._back(np.hstack([u, slope]))
         self._kept = (u.copy(), back[:, :d]) if not self.spill.moves else None
-        at_particles = self._gather(back)
+        at_particles, drag = self._gather(back, "velocity_and_slope"), self._none
         if self.drag is not None:
-            force += self.scheme.force(at_particles[:, :d])
-            p.relaxation_rate[:] = self.scheme.relaxation_rate
+            drag = self.scheme.force(at_particles[:, :d])
+        p.relaxation_rate[:] = self.scheme.relaxation_rate if self.drag is not None else 0.0
+        gradient = self._none
         if self.pressure_force is not None:
-            force -= p.volume[:, None] * at_particles[:, d:]
             received += (volume * (1 - self.fields[0].x.array[:len(volume), None]) * slope).sum(0)
-            p.properties["_pressure_gradient"] = at_particles[:, d:].copy()
-        given, received = self.comm.allreduce(force.sum(0)), self.comm.allreduce(received)
-        p.force = np.zeros((len(p), 3))
-        p.force[:, :d] = force + self._steady_force()
-        weight = self.comm.allreduce(p.mass.sum()) * np.linalg.norm(p.gravity)
-        self.momentum_imbalance = float(np.abs(given + received).max() / (weight or max(np.linalg.norm(given), 1e-300)))
+            gradient = p.properties.setdefault("_pressure_gradient", np.empty((len(p), d)))
+        given, mass = loops.total_force(self.volume, p.density, self._steady, drag, self.explicit_reaction, at_particles[:, d:],
+                                        gradient, p.force)
+        self._momentum_ledger(given, received, mass, changed)
         self._end("drag", tick)
+
+    def _momentum_ledger(self, given, received, mass, changed):
+        """What particles and fluid gained against each other, and whether the fluid changed anywhere in the step."""
+        p, d = self.particles, self.dimension
+        sums = sums_of(self.comm, *given, *(given + received), mass, changed)
+        self.answers = bool(sums[-1] > 0)
+        weight = sums[-2] * np.linalg.norm(p.gravity)
+        self.momentum_imbalance = float(np.abs(sums[d:2 * d]).max() / (weight or max(np.linalg.norm(sums[:d]), 1e-300)))
 
     # -- maps ----------------------------------------------------------------------------------------------------------
 
@@ -324,9 +323,9 @@ class Coupling:
         out[:len(owned)] = owned
         return p.halo.forward(out)
 
-    def _gather(self, field):
-        """Particle means of a field on owned and halo cells."""
-        out = np.empty((len(self.particles), field.shape[1]))
+    def _gather(self, field, name="field"):
+        """Particle means of a field on owned and halo cells, in the array that is kept for the name."""
+        out = self._work.empty(name, len(self.particles), field.shape[1])
         self.mapping.gather(field, out)
         return out
 
@@ -335,10 +334,9 @@ class Coupling:
         function.x.array[:n * values.shape[1]] = values[:n].ravel()
         function.x.scatter_forward()
 
-    def _solid_ledger(self):
-        """Solid volume on the cells against that of the particles, and the fullest cell."""
-        p, n = self.particles, self.particles.cells.owned
-        cells = self.comm.allreduce(float(self.solid[:n, 0] @ p.cells.volume[:n]))
-        particles = self.comm.allreduce(float(p.volume.sum()))
-        self.solid_volume_error = abs(cells - particles) / max(particles, 1e-300)
-        self.max_solid_fraction = self.comm.allreduce(self.solid[:n, 0].max(initial=0.0), op=MPI.MAX)
+    def _solid_ledger(self, volume):
+        """Solid volume on the cells against ``volume`` of this rank's particles, and the fullest cell."""
+        cells, n = self.particles.cells, self.particles.cells.owned
+        on_cells, of_particles = sums_of(self.comm, self.solid[:n, 0] @ cells.volume[:n], volume)
+        self.solid_volume_error = abs(on_cells - of_particles) / max(of_particles, 1e-300)
+        self.max_solid_fraction = float(largest_of(self.comm, self.solid[:n, 0].max(initial=0.0))[0])

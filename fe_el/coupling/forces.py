@@ -2,8 +2,19 @@
 import inspect
 
 import numpy as np
+from numba import njit
 
 from fe_el.coupling import drag_laws
+
+
+@njit(cache=True)
+def _reynolds(solid, slip, diameter, density, viscosity):
+    return density / viscosity * (1 - solid) * slip * diameter
+
+
+@njit(cache=True)
+def _coefficient(drag, solid, diameter, viscosity):
+    return 18 * viscosity * (1 - solid) * drag / (diameter * diameter)
 
 
 class Drag:
@@ -29,13 +40,12 @@ class Drag:
 
     def coefficient(self, solid_fraction, slip, diameter, density, viscosity, sauter=None):
         """beta = 18 mu phi F / d^2 per particle volume (particles,) [kg/(m^3 s)]; ``sauter`` is the local d32 [m]."""
-        phi, size = 1 - solid_fraction, diameter if sauter is None else sauter
-        reynolds = density * phi * slip * size / viscosity
-        drag = self.law(solid_fraction, reynolds)
+        size = diameter if sauter is None else sauter
+        drag = self.law(solid_fraction, _reynolds(solid_fraction, slip, size, density, viscosity))
         if sauter is not None:
             y = diameter / sauter
             drag = drag * (y + 0.064 * y ** 3)
-        return 18 * viscosity * phi * drag / diameter ** 2
+        return _coefficient(drag, solid_fraction, diameter, viscosity)
 
 
 class PressureGradient:

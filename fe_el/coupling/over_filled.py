@@ -9,7 +9,7 @@ import numpy as np
 from mpi4py import MPI
 from numba import njit
 
-from fe_el.exchange import raise_everywhere
+from fe_el.exchange import raise_everywhere, sums_of
 
 ROUND_OFF = 1e-13  # of what a cell may hold
 ITERATIONS = 5000  # of conjugate gradients, for one set of full cells
@@ -129,7 +129,7 @@ class Spill:
         largest (float): solid fraction a cell may hold.
 
     Attributes:
-        over_filled (int): number of over-filled owned cells before.
+        over_filled, over_filled_everywhere (int): number of over-filled owned cells before, of this rank and of all.
         moves: rounds of (source, target, fraction), made one after the other; between them ranks exchange what they moved.
 
     Raises:
@@ -146,7 +146,8 @@ class Spill:
         full[:owned] = self.content[:owned] > self.limit[:owned] * (1 + 10 * ROUND_OFF)
         self.over_filled = int(full.sum())
         room = float((self.limit - self.content)[:owned].sum())
-        number, room = halo.comm.allreduce(np.array([self.over_filled, room]))
+        number, room = sums_of(halo.comm, self.over_filled, room)
+        self.over_filled_everywhere = int(number)
         if number:
             self._require(room > 0, largest)
             self._require(self._solve(full), largest)

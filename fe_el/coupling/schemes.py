@@ -8,6 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fe_el.coupling import particle_loops as loops
+from fe_el.fluid.work_arrays import WorkArrays
+
 
 class Exchange(NamedTuple):
     """What a scheme needs; d is the dimension."""
@@ -19,7 +22,7 @@ class Exchange(NamedTuple):
     acceleration: np.ndarray  #: (particles, d) by everything but drag [m/s^2]
     beta: np.ndarray          #: (particles, 1) drag coefficient per particle volume [kg/(m^3 s)]
     fluid_velocity: np.ndarray  #: (particles, d) at the particle, before the step [m/s]
-    offset: np.ndarray        #: (particles, d) interpolated less cell-mean fluid velocity [m/s]
+    offset: np.ndarray        #: (particles, d) interpolated less cell-mean fluid velocity [m/s]; None: zero
     to_cells: Callable        #: (particles, k) -> cell densities (cells, k), mapped, spilled and smoothed
     raw: Callable             #: (particles, k) -> cell totals (cells, k), mapped only
     cell_velocity: np.ndarray  #: (cells, d) fluid velocity before the step [m/s]
@@ -36,22 +39,25 @@ class Conservative:
     particle that is held, whose beta'_i is beta_i.
     """
 
+    def __init__(self):
+        self._work = WorkArrays()
+
     def fields(self, x):
         """A (cells, 1) and B (cells, d)."""
-        a = x.dt * x.beta / x.density
-        small = a < 1e-3
-        safe = np.where(small, 1.0, a)
-        part = -np.expm1(-safe)
-        self.rate = x.volume * x.beta * np.where(small, 1 - a / 2 + a * a / 6, part / safe)
-        lag = np.where(small, 0.5 + a / 12, 1 / part - 1 / safe)
-        self.target = x.velocity + x.dt * lag * x.acceleration - x.offset
-        self.relaxation_rate = a[:, 0] / x.dt
-        out = x.to_cells(np.hstack([self.rate, self.rate * self.target]))
+        (n, d), work = x.velocity.shape, self._work
+        self.target, self.relaxation_rate = work.empty("target", n, d), work.empty("relaxation_rate", n)
+        self.rate_and_source = work.empty("rate_and_source", n, 1 + d)
+        velocity = x.velocity if x.offset is None else x.velocity - x.offset
+        loops.relax(x.dt, x.volume, x.density, x.beta, velocity, x.acceleration, self.relaxation_rate, self.target,
+                    self.rate_and_source)
+        out = x.to_cells(self.rate_and_source)
         return out[:, :1], out[:, 1:]
 
     def force(self, fluid_velocity):
         """(particles, d) [N] from the fluid's new velocity at the particles."""
-        return self.rate * (fluid_velocity - self.target)
+        force = self._work.empty("force", *self.target.shape)
+        loops.drag_force(self.rate_and_source, self.target, fluid_velocity, force)
+        return force
 
 
 class Explicit:

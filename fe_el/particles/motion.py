@@ -33,20 +33,22 @@ def free_flight(position, velocity, force, mass, gravity, rate, held, dt):
 
 @njit(cache=True)
 def way_ahead(velocity, force, contact_force, mass, gravity, rate, held, half):
-    """Displacements (particles, 3) in the first half of a step, from velocity and acceleration of the last step.
+    """Displacements (particles, 3) in the first half of a step, from velocity and acceleration of the last step; and the longest.
 
     The velocity is that of its end for a constant force, of its middle for what follows the fluid. Of the way that the
     acceleration adds half is taken: the rest makes up for most of the error of a fluid velocity that is held over the step.
     """
-    way = np.zeros_like(velocity)
+    way, longest = np.zeros_like(velocity), 0.0
     for i in range(len(velocity)):
         if held[i]:
             continue
-        late = (lag(rate[i] * 2 * half) - 0.25) * half
+        late, square = (lag(rate[i] * 2 * half) - 0.25) * half, 0.0
         for k in range(3):
             acceleration = gravity[k] + (force[i, k] + contact_force[i, k]) / mass[i]
             way[i, k] = half * (velocity[i, k] + late * acceleration)
-    return way
+            square += way[i, k] * way[i, k]
+        longest = max(longest, square)
+    return way, math.sqrt(longest)
 
 
 @njit(cache=True, fastmath=FAST)

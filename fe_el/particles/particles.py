@@ -67,7 +67,7 @@ class Particles:
     @property
     def volume(self):
         """(particles,) volume [m^3]."""
-        return np.pi / 6 * self.diameter ** 3
+        return np.pi / 6 * (self.diameter * self.diameter * self.diameter)  # a power costs five times as much
 
     @property
     def primary_diameter(self):
@@ -272,34 +272,37 @@ class Particles:
             Collective.
         """
         if ahead:
-            way = motion.way_ahead(self.velocity, self.force, self.mean_contact_force, self.mass, self.gravity, self.relaxation_rate,
-                                   self.held, ahead)
-            longest = np.sqrt((way ** 2).sum(1).max(initial=0.0))
+            way, longest = motion.way_ahead(self.velocity, self.force, self.mean_contact_force, self.mass, self.gravity,
+                                            self.relaxation_rate, self.held, ahead)
             reach = largest_of(self.comm, longest, self.diameter.max(initial=0.0))
             if reach[0] + 3 * reach[1] > self.halo_width:
                 self.reach_halo(1.5 * reach[0] + 3 * reach[1])
-        cell, position = self._walked(self.position, self.cell)
-        cell = np.where(cell < 0, self.cell, cell)
+        cell, position, outside = self._walked(self.position, self.cell)
+        if outside:
+            cell = np.where(cell < 0, self.cell, cell)
         if ahead:
-            later, place = self._walked(self.position + way, cell)
-            cell, position = np.where(later < 0, cell, later), np.where((later < 0)[:, None], position, place)
+            later, place, outside = self._walked(np.add(self.position, way, out=way), cell)
+            if outside:
+                cell, position = np.where(later < 0, cell, later), np.where((later < 0)[:, None], position, place)
+            else:
+                cell, position = later, place
         return cell, position
 
     def _walked(self, position, start):
-        """Cells, -1 outside the mesh, and wrapped positions of points that are near the cells ``start``.
+        """Cells, -1 outside the mesh, and wrapped positions of points near the cells ``start``; and how many are outside.
 
         The walk takes points through periodic facets; only what it does not find is wrapped first, as the cells of another
         period may be on another rank.
         """
         cell, place = start.copy(), position.copy()
-        location.locate(self.cells, cell, place)
-        far = np.flatnonzero(cell < 0) if self.period is not None else []
-        if len(far):
+        outside = location.locate(self.cells, cell, place)
+        if outside and self.period is not None:
+            far = np.flatnonzero(cell < 0)
             again, wrapped = start[far].copy(), position[far].copy()
             self._wrap(wrapped)
-            location.locate(self.cells, again, wrapped)
+            outside = location.locate(self.cells, again, wrapped)
             cell[far], place[far] = again, wrapped
-        return cell, place
+        return cell, place, outside
 
     # -- motion ----------------------------------------------------------------------------------------------------
 
