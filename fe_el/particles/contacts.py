@@ -1,5 +1,4 @@
 """Contacts between particles and with walls, in sub-steps of a fraction of the contact time."""
-import math
 import time
 
 import numpy as np
