@@ -253,17 +253,22 @@ def read_mesh(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None):
 
     Raises:
         FileNotFoundError: if there is no such file.
-        ValueError: for cells that are not simplices.
+        ValueError: for a file that gmsh cannot read, cells that are not simplices, or cells that are not in exactly one group.
     """
     import gmsh
     from dolfinx.io import gmshio
     end_all_ranks_on_errors(comm)
     if not Path(path).is_file():
         raise FileNotFoundError(f"There is no mesh file {path}; give the path of a gmsh .msh file.")
+    message = None
     if comm.rank == 0:
         gmsh.initialize()
         gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.open(str(path))
+        try:
+            gmsh.open(str(path))
+        except Exception as error:  # gmsh raises nothing narrower
+            message = f"gmsh cannot read {path}: {error}; give a .msh file that gmsh wrote."
+    _end_if(gmsh, comm, message)
     return _from_gmsh(gmsh, gmshio, comm, dimension, slices_along)
 
 
@@ -294,17 +299,37 @@ def mesh_geo(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None, **parame
     return _from_gmsh(gmsh, gmshio, comm, dimension, slices_along)
 
 
-def _from_gmsh(gmsh, gmshio, comm, dimension, slices_along):
-    kinds = None
-    if comm.rank == 0:
-        kinds = [gmsh.model.mesh.getElementProperties(k)[0] for k in gmsh.model.mesh.getElementTypes(dimension)]
-    kinds = comm.bcast(kinds)
-    wanted = {2: "Triangle 3", 3: "Tetrahedron 4"}[dimension]
-    if any(k != wanted for k in kinds) or not kinds:
+def _end_if(gmsh, comm, message):
+    """Close gmsh and raise ``ValueError`` on every rank if rank 0 has a message. Collective."""
+    message = comm.bcast(message)
+    if message:
         if comm.rank == 0:
             gmsh.finalize()
-        raise ValueError(f"The mesh has cells of type {', '.join(kinds) or 'none'}; fe_el needs {wanted} (first-order "
-                         "simplices). Mesh again without Recombine and with ElementOrder 1.")
+        raise ValueError(message)
+
+
+def _fault(gmsh, dimension):
+    """What makes gmsh's present model no mesh for fe_el, in a sentence; ``None``: nothing."""
+    model, wanted = gmsh.model, {2: "Triangle 3", 3: "Tetrahedron 4"}[dimension]
+    kinds = [model.mesh.getElementProperties(k)[0] for k in model.mesh.getElementTypes(dimension)]
+    if any(k != wanted for k in kinds) or not kinds:
+        return (f"The mesh has cells of type {', '.join(kinds) or 'none'}; fe_el needs {wanted} (first-order simplices). Mesh again "
+                f"in {dimension} dimensions, without Recombine and with ElementOrder 1, or give another dimension=.")
+    what = {2: "Surface", 3: "Volume"}[dimension]
+    for _, tag in model.getEntities(dimension):
+        groups = model.getPhysicalGroupsForEntity(dimension, tag)
+        if len(groups) != 1:
+            return (f"{what} {tag} is in {len(groups)} physical groups ({', '.join(map(str, groups)) or 'none'}); every {what.lower()} "
+                    f"needs exactly one (gmsh: Physical {what}).")
+    if dimension == 2:
+        z = np.asarray(model.mesh.getNodes()[1])[2::3]
+        if len(z) and np.ptp(z) > 1e-9 * max(np.abs(model.mesh.getNodes()[1]).max(), 1e-300):
+            return "The two-dimensional mesh does not lie in a plane of constant z; turn it into the x-y plane."
+    return None
+
+
+def _from_gmsh(gmsh, gmshio, comm, dimension, slices_along):
+    _end_if(gmsh, comm, _fault(gmsh, dimension) if comm.rank == 0 else None)
     from fe_el import partition
     plain = gmshio.create_mesh
     if slices_along is not None:  # model_to_mesh has no argument for it
