@@ -4,6 +4,7 @@ from numba import njit
 
 from fe_el.borrowed import borrowed
 from fe_el.coupling.shares import ListedShares
+from fe_el.direct_calls import Direct
 
 FAST = {"contract", "reassoc", "nsz", "arcp"}
 BALL = 4 * np.pi / 3  # volume of a sphere, in cubed radii
@@ -269,6 +270,7 @@ class OverlapVolume(ListedShares):
     def __init__(self):
         super().__init__()
         self._barycentric, self._place, self._scratch = None, np.empty((64, 3)), scratch_for(64)
+        self._overlap_shares = Direct(overlap_shares)
 
     def prepare(self, cells, cell, position, radius):
         """Find the shares of particles at ``position`` with centre in ``cell``: entries start[i]:start[i+1] of particle i."""
@@ -278,7 +280,7 @@ class OverlapVolume(ListedShares):
             self._slot = np.full(len(cells.volume), -1, np.int32)
         self._reserve(n, n + len(self._place) + 1)
         while done < n:
-            done = overlap_shares((self._plane, cells.corner, self._neighbour, cells.shift), self._slot, self._place, self._scratch,
+            done = self._overlap_shares((self._plane, cells.corner, self._neighbour, cells.shift), self._slot, self._place, self._scratch,
                                   (cell, position, radius), done, self._start, self._cell, self._weight)
             if done < n and self._start[done] + len(self._place) < len(self._cell):
                 self._place, self._scratch = np.empty((2 * len(self._place), 3)), scratch_for(2 * len(self._place))

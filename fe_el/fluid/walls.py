@@ -21,9 +21,7 @@ class Facets(NamedTuple):
 
     cell: np.ndarray    #: owned cell behind
     local: np.ndarray   #: its vertex opposite the facet
-    normal: np.ndarray  #: (facets, d) outward unit normal
-    share: np.ndarray   #: area of each node [m^2]
-    height: np.ndarray  #: of the cell above the facet [m]
+    size: np.ndarray    #: (facets, 3) area, area of each node [m^2], height of the cell above the facet [m]
     slope: np.ndarray   #: (facets, m) normal derivatives of the cell's basis functions [1/m]
 
 
@@ -37,8 +35,8 @@ def unresolved_friction(facets, volume, stress, drag, coefficient, out):
     added.
     """
     for f in range(len(facets.cell)):
-        c, area = facets.cell[f], facets.share[f] * facets.normal.shape[1]
-        resolved = STRENGTH * stress[c] / facets.height[f]
+        c, area = facets.cell[f], facets.size[f, 0]
+        resolved = STRENGTH * stress[c] / facets.size[f, 2]
         layer = max(np.sqrt(stress[c] * drag[c]) - resolved, 0.0)
         if layer > 0.0:
             layer /= 1.0 - layer * area / (drag[c] * volume[c])
@@ -51,8 +49,8 @@ def add_friction(dofs, place, facets, stress, consistent, thetas, u, wall, past,
     """Add -(mu du/dn, w) - (mu dw/dn, u - wall) + (C mu/h (u - wall), w), lumped, to ``values`` and ``rhs``."""
     for f in range(len(dofs)):
         c, n = facets.cell[f], 0
-        a, t = consistent * stress[c] * facets.share[f], thetas[c]
-        held, local = STRENGTH * stress[c] / facets.height[f] * facets.share[f], facets.local[f]
+        a, t = consistent * stress[c] * facets.size[f, 1], thetas[c]
+        held, local = STRENGTH * stress[c] / facets.size[f, 2] * facets.size[f, 1], facets.local[f]
         for i in range(M):
             if i == local:
                 continue
@@ -76,8 +74,8 @@ def friction_forces(dofs, facets, stress, consistent, thetas, u, wall, past, new
     """Friction of the fluid on each facet (facets, d) [N], of the same terms, for the velocities ``u`` before and ``new`` after."""
     for f in range(len(dofs)):
         c, n = facets.cell[f], 0
-        a, t = consistent * stress[c] * facets.share[f] * D, thetas[c]
-        held, local = STRENGTH * stress[c] / facets.height[f] * facets.share[f], facets.local[f]
+        a, t = consistent * stress[c] * facets.size[f, 0], thetas[c]
+        held, local = STRENGTH * stress[c] / facets.size[f, 2] * facets.size[f, 1], facets.local[f]
         for k in range(D):
             out[f, k] = 0.0
         for i in range(M):
@@ -146,9 +144,9 @@ class WallFriction:
         none = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, d)))]
         cell, local, vector = (np.concatenate(a) for a in zip(*(none + [(f.cell, f.local, f.area_normal) for f, _, _ in walls])))
         area = np.linalg.norm(vector, axis=1)
-        normal = vector / area[:, None]
-        self.facets = Facets(cell, local, normal, area / d, d * fluid.volume[cell] / area,
-                             np.einsum("fik,fk->fi", fluid.gradient[cell], normal))
+        self.normal = vector / area[:, None]
+        self.facets = Facets(cell, local, np.column_stack([area, area / d, d * fluid.volume[cell] / area]),
+                             np.einsum("fik,fk->fi", fluid.gradient[cell], self.normal))
         self.dofs = np.ascontiguousarray(fluid.dofs[cell])
         ends = np.cumsum([0] + [len(f.cell) for f, _, _ in walls])
         self.rows = [slice(a, b) for a, b in zip(ends, ends[1:])]
@@ -188,9 +186,9 @@ class WallFriction:
             if law is None:
                 self.coefficient[rows] = 0.0
                 continue
-            normal, slip = self.facets.normal[rows], q[wall.cell] - self.velocity[rows].mean(1)
+            normal, slip = self.normal[rows], q[wall.cell] - self.velocity[rows].mean(1)
             speed = np.linalg.norm(slip - (slip * normal).sum(1)[:, None] * normal, axis=1)
-            self.coefficient[rows] = law(speed, self.facets.height[rows] / (d + 1), air.density, air.viscosity)
+            self.coefficient[rows] = law(speed, self.facets.size[rows, 2] / (d + 1), air.density, air.viscosity)
         whole = air.work.empty("drag_with_walls", air.num_cells)
         whole[:] = drag
         unresolved_friction(self.facets, air.volume, stress, drag, self.coefficient, whole)

@@ -4,6 +4,7 @@ import time
 import numpy as np
 
 from fe_el.checks import require_positive
+from fe_el.direct_calls import Direct
 from fe_el.exchange import largest_of, raise_everywhere
 from fe_el.messages import largest, ranks_of
 from fe_el.particles import contact_lists, motion
@@ -53,6 +54,7 @@ class Contacts:
         if self.walls and isinstance(self.wall_law, ArrayLaw):
             raise ValueError("An ArrayLaw acts between particles only; give walls a wall_law, for instance HertzMindlin.")
         self._check_materials()
+        self._sub_steps, self._all_forces = Direct(sub_steps), Direct(all_forces)
         self.lists = contact_lists.ContactLists(particles, self.walls, skin, self._spring_width())
         self.block, self.step, self.layout, self.stale, self.ranks = (new_block(), new_block()), 1, None, False, ranks_of(particles.comm)
         self.seconds = {"neighbours": 0.0, "contacts": 0.0}
@@ -196,7 +198,7 @@ class Contacts:
     def _compiled_steps(self, h, most, drift):
         """The same in one call, with a built-in law."""
         lists, rows = self.lists, self._rows()
-        steps, self.stale, self.touching, behind, self.largest_overlap, lists.near = sub_steps(
+        steps, self.stale, self.touching, behind, self.largest_overlap, lists.near = self._sub_steps(
             most, h, lists.age, lists.wall_rate, rows[0], drift, lists.ghosts.rows(), self.ranks, lists.waves,
             *rows[1:], self.step, self.block, self._numbers(), self.largest_overlap)
         self.step, lists.age = self.step + steps, lists.age + steps
@@ -241,7 +243,7 @@ class Contacts:
         self.step += 1
         if isinstance(self.law, ArrayLaw):
             return self._array_forces(h, moved, rows)
-        self.touching, behind, self.largest_overlap, lists.near = all_forces(
+        self.touching, behind, self.largest_overlap, lists.near = self._all_forces(
             *rows, moved, self.step, self.block, self._numbers(), h, self.largest_overlap)
         self.behind = behind if behind >= 0 else self.behind
         return None

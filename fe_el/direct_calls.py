@@ -1,0 +1,38 @@
+"""Calls of compiled functions with long tuples of arrays, step after step, without a leak.
+
+Numba's dispatcher loses the text by which it recognises the type of an argument whenever that is long: 50 to 100 bytes for each
+tuple of more than four arrays, in every call.
+"""
+import numpy as np
+
+
+def _kind(argument):
+    """What decides which compiled version takes an argument."""
+    if isinstance(argument, np.ndarray):
+        flags = argument.flags
+        return argument.dtype.char, argument.ndim, flags.c_contiguous, flags.f_contiguous, flags.aligned, flags.writeable
+    if isinstance(argument, tuple):
+        return type(argument), tuple(map(_kind, argument))
+    return type(argument)
+
+
+class Direct:
+    """A compiled function that finds its compiled version by itself once it has been called with arguments of the same kinds.
+
+    Args:
+        dispatcher: what ``njit`` returns.
+    """
+
+    def __init__(self, dispatcher):
+        self.dispatcher, self._entries = dispatcher, {}
+
+    def __call__(self, *arguments):
+        kinds = tuple(map(_kind, arguments))
+        entry = self._entries.get(kinds)
+        if entry is not None:
+            return entry(*arguments)
+        result = self.dispatcher(*arguments)
+        signature = tuple(self.dispatcher.typeof_pyval(a) for a in arguments)
+        if signature in self.dispatcher.overloads:  # it may have converted some
+            self._entries[kinds] = self.dispatcher.overloads[signature].entry_point
+        return result
