@@ -81,10 +81,7 @@ class Contacts:
         """Largest sub-step [s]: the shortest contact time in the run over ``steps_per_contact``."""
         p = self.particles
         count = max(getattr(law, "materials", None) or 1 for law in (self.law, self.wall_law))
-        light, small = np.zeros(count), np.zeros(count)  # inverse of the least mass and radius of each material
-        kind = np.minimum(p.material, count - 1)
-        np.maximum.at(light, kind, 1 / p.mass)
-        np.maximum.at(small, kind, 2 / p.diameter)
+        light, small = motion.lightest_and_smallest(p.material, p.density, p.diameter, count)
         extremes = (p.speed(), p.diameter.max()) if len(p) else np.zeros(2)
         speed, biggest, *rest = largest_of(p.comm, *extremes, *light, *small)
         light, small = np.array(rest).reshape(2, count)
@@ -110,7 +107,7 @@ class Contacts:
 
     def advance(self, dt):
         """Advance the particles by ``dt`` [s] in velocity Verlet sub-steps."""
-        p = self.particles
+        p, tick, renewing = self.particles, time.perf_counter(), self.seconds["neighbours"]
         if not p.total_number or p.all_held() and not self.lists.has_moving_shapes():
             self.steps_last = 0
             return  # none have come yet, all have left, or nothing can move
@@ -125,15 +122,14 @@ class Contacts:
         p.properties["_start_velocity"] = p.velocity.copy()
         self._drive(dt)
         while done < self.steps_last:
-            tick = time.perf_counter()
             done += self._run(h, self.steps_last - done)
-            self.seconds["contacts"] += time.perf_counter() - tick
             if done < self.steps_last:
                 self._rebuild(h)
         del p.properties["_external"], p.properties["_fading"]
         p.mean_contact_force = motion.mean_force(p.velocity, p.properties.pop("_start_velocity"), p.mass, self._external(), dt)
         for wall, impulse in zip(self.walls, p.comm.allreduce(self.wall_impulse)):
             wall.force = impulse * h / dt
+        self.seconds["contacts"] += time.perf_counter() - tick - (self.seconds["neighbours"] - renewing)
 
     def _external(self):
         """(particles, 3) force by all but contacts, of what is not held [N]."""

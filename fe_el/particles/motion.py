@@ -176,3 +176,14 @@ def first_not_finite(x, force):
 def mean_force(v, v0, mass, external, dt):
     """Mean contact force (particles, 3) over ``dt`` from the change of momentum."""
     return mass.reshape(-1, 1) * (v - v0) / dt - external
+
+
+@njit(cache=True)
+def lightest_and_smallest(material, density, diameter, count):
+    """Inverses of the least mass [1/kg] and radius [1/m] of each of ``count`` materials; zero where there is no particle."""
+    light, small = np.zeros(count), np.zeros(count)
+    for i in range(len(material)):
+        k = min(material[i], count - 1)
+        light[k] = max(light[k], 6.0 / (math.pi * density[i] * diameter[i] ** 3))
+        small[k] = max(small[k], 2.0 / diameter[i])
+    return light, small
