@@ -34,3 +34,34 @@ def test_velocity_does_not_depend_on_the_step():
 def test_body_held_by_drag_feels_the_same_velocity(strength):
     """Drag that is weak and strong against what the fluid resists."""
     assert mobility(0.05, 250, 6, strength * np.pi) == pytest.approx(mobility(0.05, 250), rel=0.01)
+
+
+def sphere_error(ratio, places=3, cells=8, reynolds=0.08):
+    """How much too fast one sphere of diameter ``ratio`` cells falls in a periodic box of liquid, two-way, mean over places."""
+    h, rho, rho_p, g, found = 1e-3, 1000.0, 2500.0, 9.81, []
+    d, length, down = ratio * h, np.full(3, cells * h), np.array([0, 0, -g])
+    mu = np.sqrt((rho_p - rho) * g * d ** 3 * rho / (18 * reynolds))
+    terminal = (rho_p - rho) * g * d ** 2 / (18 * mu)
+    dt, solid = min(0.5 * h * h * rho / mu, 0.02 * h / terminal), np.pi / 6 * d ** 3 / length.prod()
+    balance = -(solid * rho_p + (1 - solid) * rho) * down
+    for seed in range(places):
+        mesh, _ = fe_el.periodic_box(length, (cells,) * 3)
+        water = fe_el.VolumeAveragedNavierStokes(mesh, None, rho, mu, down, 1e-11, mean_pressure_gradient=balance)
+        bead = fe_el.Particles(mesh, rho_p, down)
+        bead.insert_at(np.random.default_rng(seed).uniform(0.3, 0.7, (1, 3)) * length, d)
+        coupling = fe_el.Coupling(bead, water.velocity, water.pressure, rho, mu,
+                                  [fe_el.Drag("stokes"), fe_el.PressureGradient(balance)])
+        speed = []
+        for _ in range(max(60, int(4 * h * h * rho / mu / dt))):
+            coupling.to_fluid(dt)
+            water.advance(dt, coupling.fields)
+            coupling.to_particles(dt)
+            bead.advance(dt)
+            speed.append(-bead.velocity[0, 2])
+        found.append(np.mean(speed[-len(speed) // 4:]) / terminal - 1)
+    return float(np.mean(found))
+
+
+def test_a_sphere_smaller_than_a_cell_is_carried_by_its_own_wake_as_the_cell_answers():
+    """The cell's answer of 3.2 F/(6 pi mu h) to the sphere's weight is 1.6 d/h of its terminal velocity."""
+    assert sphere_error(0.1) == pytest.approx(0.16, abs=0.03)
