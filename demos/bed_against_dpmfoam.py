@@ -1,7 +1,8 @@
 """Seconds of a step of the fluidised bed, beside OpenFOAM's DPMFoam with pairCollision on the same beads.
 
-The beads settle without gas in fe_el. Both codes start from these positions, at rest, with the gas on; they take the same steps, and so
-many steps in a contact. DPMFoam's contacts are those of Hertz with a modulus of 1 MPa (it has no linear ones), fe_el's linear.
+The beads settle without gas in fe_el. Both codes start from these positions, at rest, with the gas on; they take the same
+steps, and so many steps in a contact. DPMFoam's contacts are those of Hertz with a modulus of 1 MPa (it has no linear ones),
+fe_el's linear.
 """
 import argparse
 import logging
@@ -43,7 +44,8 @@ def collisions(steps_per_contact, restitution=0.9, friction=0.1):
               f"collisionResolutionSteps {steps_per_contact};")
     pair = ("collisionModel pairCollision; pairCollisionCoeffs { U U.air; "
             f"maxInteractionDistance {bed.LARGE:g}; writeReferredParticleCloud no; "
-            f"pairModel pairSpringSliderDashpot; pairSpringSliderDashpotCoeffs {{ {common} }} wallModel wallSpringSliderDashpot; "
+            f"pairModel pairSpringSliderDashpot; pairSpringSliderDashpotCoeffs {{ {common} }} wallModel "
+            f"wallSpringSliderDashpot; "
             f"wallSpringSliderDashpotCoeffs {{ {common} youngsModulus 1e6; poissonsRatio 0.3; }} }}")
     wall = ("patchInteractionModel localInteraction; localInteractionCoeffs { patches ( top { type escape; } "
             f'"walls|bottom" {{ type rebound; e {restitution:g}; mu {friction:g}; }} ); }}')
@@ -61,7 +63,8 @@ def write_peer(folder, position, diameter, velocity, fraction, dt, steps, cell_s
     pair, wall = collisions(steps_per_contact)
     dpm_foam.write_case(folder, lengths, [max(round(a / cell_size), 1) for a in lengths], patches, dt, steps,
                         (bed.GAS_DENSITY, bed.GAS_VISCOSITY), -bed.GRAVITY, bed.BEAD_DENSITY,
-                        {name: (position[np.isclose(diameter, d)], d, 1, 0.0) for name, d in (("small", bed.SMALL), ("large", bed.LARGE))},
+                        {name: (position[np.isclose(diameter, d)], d, 1, 0.0) for name,
+                         d in (("small", bed.SMALL), ("large", bed.LARGE))},
                         initial=velocity, interaction=wall, collisions=pair)
 
 
@@ -80,7 +83,8 @@ def time_fe_el(position, diameter, velocity, fraction, dt, steps, steps_per_cont
     return np.array(seconds), contacts.steps_last
 
 
-def main(superficial_velocity=1.3, slice=1.0, settle_time=0.25, time_step=1e-4, steps=60, steps_per_contact=20, peer_cell_size=0.005,
+def main(superficial_velocity=1.3, slice=1.0, settle_time=0.25, time_step=1e-4, steps=60, steps_per_contact=20,
+         peer_cell_size=0.005,
          output="out/bed_against_dpmfoam", progress=True):
     """Run both codes and return the summary; on one rank."""
     logging.getLogger().setLevel(logging.WARNING)
@@ -90,17 +94,20 @@ def main(superficial_velocity=1.3, slice=1.0, settle_time=0.25, time_step=1e-4, 
     for _ in fe_el.time_steps(20 * time_step, settle_time, progress=progress):
         beads.advance(20 * time_step, contacts)
     position, diameter, late = beads.position.copy(), beads.diameter.copy(), -(-steps // 3)
-    seconds, sub_steps = time_fe_el(position, diameter, superficial_velocity, slice, time_step, steps, steps_per_contact, progress)
+    seconds, sub_steps = time_fe_el(position, diameter, superficial_velocity, slice, time_step, steps, steps_per_contact,
+                                    progress)
     numbers = {"seconds_per_step_fe_el": float(np.median(seconds[late:])), "contact_steps_fe_el": sub_steps}
     folder, curves = Path(output).resolve() / "dpmfoam", {"fe_el": seconds}
     if dpm_foam.installed():
-        write_peer(folder, position, diameter, superficial_velocity, slice, time_step, steps, peer_cell_size, steps_per_contact)
+        write_peer(folder, position, diameter, superficial_velocity, slice, time_step, steps, peer_cell_size,
+                   steps_per_contact)
         out = dpm_foam.run(folder, limit=3600.0)
         if out["stopped"]:
             raise RuntimeError(f"DPMFoam ended after {len(out['time'])} of {steps} steps: {out['stopped']}.")
         peer = float(np.median(out["seconds"][late:]))
         numbers |= {"seconds_per_step_dpmfoam": peer, "contact_steps_dpmfoam": float(out["sub_steps"][-1]),
-                    "particles_dpmfoam": int(out["parcels"][-1]), "dpmfoam_over_fe_el": peer / numbers["seconds_per_step_fe_el"]}
+                    "particles_dpmfoam": int(out["parcels"][-1]),
+                    "dpmfoam_over_fe_el": peer / numbers["seconds_per_step_fe_el"]}
         curves["DPMFoam"] = out["seconds"]
     else:
         print("DPMFoam is not installed; on Debian: apt-get install openfoam.", flush=True)

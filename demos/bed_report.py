@@ -1,4 +1,5 @@
-"""Error against wall time of the fluidised bed: over fluid step, contact steps and cell size (``fluidised_bed.py --report``)."""
+"""Error against wall time of the fluidised bed: over fluid step, contact steps and cell size (``fluidised_bed.py
+--report``)."""
 import csv
 from pathlib import Path
 
@@ -12,7 +13,8 @@ try:
 except ImportError:  # imported as demos.bed_report
     from demos import fluidised_bed
 
-SETTINGS = ((1e-4, 50, 0.0075), (1e-4, 20, 0.0075), (2e-4, 20, 0.0075), (5e-4, 20, 0.0075), (1e-3, 50, 0.0075), (1e-3, 20, 0.0075),
+SETTINGS = ((1e-4, 50, 0.0075), (1e-4, 20, 0.0075), (2e-4, 20, 0.0075), (5e-4, 20, 0.0075), (1e-3, 50, 0.0075),
+            (1e-3, 20, 0.0075),
             (1e-3, 12, 0.0075), (2e-3, 20, 0.0075), (1e-3, 20, 0.005), (1e-3, 20, 0.01))  # the first is the reference
 QUANTITIES = ("pressure_drop", "pressure_drop_fluctuation", "mean_height_small", "mean_height_large")
 
@@ -20,10 +22,12 @@ QUANTITIES = ("pressure_drop", "pressure_drop_fluctuation", "mean_height_small",
 def main(options, settings=SETTINGS, realisations=3):
     """Run every setting from ``realisations`` starts and return the summary; half an hour for a tenth of the bed.
 
-    Means are over the second half of each run; their errors are standard errors over the realisations. The wall time is that of
+    Means are over the second half of each run; their errors are standard errors over the realisations. The wall time is that
+    of
     the run without its first tenth of a second of compilation: of all stages but the rest.
     """
-    folder, options = Path(options["output"]), {k: v for k, v in options.items() if k not in ("report", "output", "seed", "restart")}
+    folder, options = Path(options["output"]), {k: v for k, v in options.items() if k not in ("report", "output", "seed",
+                                                                                              "restart")}
     rows = []
     for dt, steps, size in settings:
         runs = []
@@ -36,14 +40,16 @@ def main(options, settings=SETTINGS, realisations=3):
                      "weight_Pa": runs[0]["bed_weight_per_area"], "lost": sum(r["lost_particles"] for r in runs)})
         for name in QUANTITIES:
             values = np.array([r[name] for r in runs])
-            rows[-1] |= {name: values.mean(), name + "_error": values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else 0.0}
+            rows[-1] |= {name: values.mean(), name + "_error": values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1
+                         else 0.0}
         if MPI.COMM_WORLD.rank == 0:
             write(folder, rows)
     if MPI.COMM_WORLD.rank == 0:
         picture(folder, rows)
     best = recommended(rows)
     return fe_el.write_summary(folder, MPI.COMM_WORLD, recommended_time_step=best["time_step_s"], realisations=realisations,
-                               recommended_steps_per_contact=best["steps_per_contact"], recommended_cell_size=best["cell_size_m"],
+                               recommended_steps_per_contact=best["steps_per_contact"],
+                               recommended_cell_size=best["cell_size_m"],
                                recommended_seconds=best["seconds"], reference_seconds=rows[0]["seconds"])
 
 
@@ -82,7 +88,8 @@ def picture(folder, rows):
             axis.annotate(f"{1e3 * row['time_step_s']:g} ms, {row['steps_per_contact']}, {1e3 * row['cell_size_m']:g} mm",
                           (row["seconds"], 100 * value), xytext=(4, 4), textcoords="offset points", fontsize=7)
         axis.axhline(0, color="0.6", lw=0.8)
-        axis.set(xscale="log", title=name.replace("_", " "), ylabel="deviation [%]" + (" of the weight" if "pressure" in name else ""))
+        axis.set(xscale="log", title=name.replace("_", " "), ylabel="deviation [%]"
+                 + (" of the weight" if "pressure" in name else ""))
     for axis in axes[1]:
         axis.set_xlabel("wall time of a run [s]")
     figure.suptitle("fluid step, steps in a contact, cell size; error bars: standard errors over the realisations")

@@ -1,4 +1,5 @@
-"""What the demos of beds share: the loop with its records, the ledger, the stages of the wall time, profiles and snapshots."""
+"""What the demos of beds share: the loop with its records, the ledger, the stages of the wall time, profiles and
+snapshots."""
 import time
 from typing import NamedTuple
 
@@ -75,7 +76,8 @@ def run(bed, dt, end_time, out, each, every=10, start=0.0, after=None, progress=
     stages = {name: round(seconds - before[name], 6) for name, seconds in stages.items()}
     stages["rest"] = round(wall - sum(stages.values()), 6)
     return {"particles": number, "lost_particles": number - beads.total_number, "time_step": dt, "end_time": end_time,
-            "wall_time": wall, "seconds_per_stage": stages, **{"seconds_" + name: t for name, t in stages.items()}, **ledger.summary(),
+            "wall_time": wall, "seconds_per_stage": stages, **{"seconds_" + name: t for name, t in stages.items()},
+            **ledger.summary(),
             "contact_steps_per_fluid_step": contacts.steps_last,
             "largest_overlap_over_diameter": float(beads.comm.allreduce(contacts.largest_overlap, op=MPI.MAX))}
 
@@ -151,7 +153,8 @@ def draw_beads(axis, snapshot, colour, width, height, title, **style):
     from matplotlib.collections import EllipseCollection
     x, d = snapshot["position"], snapshot["diameter"]
     order = np.argsort(-x[:, 1])
-    shown = EllipseCollection(d[order], d[order], np.zeros(len(d)), units="xy", offsets=x[order][:, [0, 2]], array=colour[order],
+    shown = EllipseCollection(d[order], d[order], np.zeros(len(d)), units="xy", offsets=x[order][:, [0, 2]],
+                              array=colour[order],
                               transOffset=axis.transData, lw=0.1, edgecolor="0.3", **style)
     axis.add_collection(shown)
     axis.set(aspect="equal", xlim=(0, width), ylim=(0, height), title=title, xticks=[0, width])

@@ -68,7 +68,8 @@ def integration_seconds(contacts, repeats=20):
     external, inverse_inertia = np.zeros((len(p), 3)), 10 / (p.mass * p.diameter ** 2)
 
     def once():
-        kick_and_drift(x, state, force, external, lists.inverse_mass, inverse_inertia, lists.x0, 1.0, CONTACT_STEP, 0, len(p))
+        kick_and_drift(x, state, force, external, lists.inverse_mass, inverse_inertia, lists.x0, 1.0, CONTACT_STEP, 0,
+                       len(p))
     once()
     start = time.perf_counter()
     for _ in range(repeats):
@@ -97,13 +98,16 @@ def main(tiles=(1, 3, 10), steps=400, settle_steps=12000, output="out/contact_sp
         numbers[f"nanoseconds_per_particle_step_{number}"] = rows[-1][1]
         numbers[f"million_particle_steps_per_second_{number}"] = 1e3 / rows[-1][1]
         numbers[f"share_of_neighbour_search_{number}"] = share
-        numbers[f"share_of_integration_{number}"], numbers[f"share_of_forces_{number}"] = integration, 1 - share - integration
+        numbers[f"share_of_integration_{number}"] = integration
+        numbers[f"share_of_forces_{number}"] = 1 - share - integration
         numbers[f"neighbours_per_particle_{number}"] = pairs / number
         numbers[f"contacts_per_particle_{number}"] = comm.allreduce(contacts.touching) / number
         numbers[f"bytes_per_particle_{number}"] = 1024 * memory / number
         if comm.rank == 0 and progress:
-            print(f"{number:9d} beads: {1e3 / rows[-1][1]:6.2f} million particle-steps per second, {rows[-1][1]:6.1f} ns each, "
-                  f"{100 * share:4.1f} % search, {100 * integration:4.1f} % integration, {1024 * memory / number:6.0f} bytes per particle", flush=True)
+            print(f"{number:9d} beads: {1e3 / rows[-1][1]:6.2f} million particle-steps per second, {rows[-1][1]:6.1f} ns "
+                  f"each, "
+                  f"{100 * share:4.1f} % search, {100 * integration:4.1f} % integration, {1024 * memory / number:6.0f} "
+                  f"bytes per particle", flush=True)
     numbers["wall_time"] = time.perf_counter() - start
     if comm.rank == 0:
         Path(output).mkdir(parents=True, exist_ok=True)

@@ -1,8 +1,9 @@
 """Speed of contacts against LIGGGHTS and LAMMPS: the same settled bed in each code, in million particle-steps per second.
 
 A tile that is periodic to the sides settles in fe_el; copies of it make the bed, with a floor below. All codes get the same
-positions, velocities, stiffness, damping, friction and step. The peers run with every skin of ``--skins``, LAMMPS also with both
-of its neighbour styles where there are two sizes (that of LIGGGHTS finds no pairs of grains); the fastest of these counts.
+positions, velocities, stiffness, damping, friction and step. The peers run with every skin of ``--skins``, LAMMPS also with
+both of its neighbour styles where there are two sizes (that of LIGGGHTS finds no pairs of grains); the fastest of these
+counts.
 """
 import argparse
 import csv
@@ -46,7 +47,8 @@ def arguments():
     p.add_argument("--steps", type=int, default=400, help="steps that are timed, after")
     p.add_argument("--warm-up", type=int, default=200, help="so many that are not")
     p.add_argument("--settle-time", type=float, default=0.2, help="time in which the tile settles [s]")
-    p.add_argument("--agitation", type=float, default=0.0, help="random velocity on top, that makes lists go out of date [m/s]")
+    p.add_argument("--agitation", type=float, default=0.0,
+                   help="random velocity on top, that makes lists go out of date [m/s]")
     p.add_argument("--skins", type=float, nargs="+", default=(0.05, 0.2, 0.8), help="of the peers, in smallest diameters")
     p.add_argument("--output", default="out/contacts_against_peers", help="folder for results")
     return p
@@ -100,25 +102,30 @@ def write_bed(folder, scene, wanted, tile, agitation):
     speeds = "\n".join(f"{i} {u[0]:.9g} {u[1]:.9g} {u[2]:.9g} 0 0 0" for i, u in enumerate(v, 1))
     for code, types in (("LIGGGHTS", len(scene.diameters) + 1), ("LAMMPS", len(scene.diameters))):
         (folder / f"{code}.data").write_text(
-            f"bed\n\n{len(x)} atoms\n{types} atom types\n\n0 {tiles[0] * scene.tile:.9g} xlo xhi\n0 {tiles[1] * scene.tile:.9g} "
+            f"bed\n\n{len(x)} atoms\n{types} atom types\n\n0 {tiles[0] * scene.tile:.9g} xlo xhi\n0 "
+            f"{tiles[1] * scene.tile:.9g} "
             f"ylo yhi\n{-max(scene.diameters):g} {height:g} zlo zhi\n\nAtoms\n\n{atoms}\n\nVelocities\n\n{speeds}\n")
     return len(x)
 
 
 def law_of(code, scene):
-    """Law of a peer; its floor has an atom type of its own or is there once for each class, to have the damping of a wall."""
+    """Law of a peer; its floor has an atom type of its own or is there once for each class, to have the damping of a
+    wall."""
     k, damping, friction = coefficients(scene)
     kt, n, model = TANGENTIAL_STIFFNESS * k, len(scene.diameters), "model hooke/stiffness tangential history"
     if code == "LIGGGHTS":
         tables = {"kn": 0 * damping + k, "kt": 0 * damping + kt, "gamman": damping, "gammat": TANGENTIAL_DAMPING * damping,
                   "coefficientFriction": friction}
-        return [*(f"fix {name} all property/global {name} peratomtypepair {n + 1} " + " ".join(f"{a:.9g}" for a in table.ravel())
+        return [*(f"fix {name} all property/global {name} peratomtypepair {n + 1} " + " ".join(f"{a:.9g}"
+                                                                                               for a in table.ravel())
                   for name, table in tables.items()),
-                f"pair_style gran {model}", "pair_coeff * *", f"fix floor all wall/gran {model} primitive type {n + 1} zplane 0"]
+                f"pair_style gran {model}", "pair_coeff * *",
+                f"fix floor all wall/gran {model} primitive type {n + 1} zplane 0"]
     plain = [[f"gran/hooke/history {k:.9g} {kt:.9g} {c:.9g} {TANGENTIAL_DAMPING * c:.9g} {m:g} 1" for c, m in zip(*row)]
              for row in zip(damping, friction)]
     lines = [f"pair_style {plain[0][0]}", "pair_coeff * *"] if n == 1 else ["pair_style granular"] + [
-        f"pair_coeff {i + 1} {j + 1} hooke {k:.9g} {damping[i, j]:.9g} damping mass_velocity tangential linear_history {kt:.9g} "
+        f"pair_coeff {i + 1} {j + 1} hooke {k:.9g} {damping[i, j]:.9g} damping mass_velocity tangential linear_history "
+        f"{kt:.9g} "
         f"{TANGENTIAL_DAMPING:g} {friction[i, j]:g}" for i in range(n) for j in range(i, n)]
     return lines + [line for i in range(n) for line in (
         f"group class{i} type {i + 1}", f"fix floor{i} class{i} wall/{plain[i][n].replace('/', ' ', 1)} zplane 0 NULL")]
@@ -128,11 +135,14 @@ def peer_input(code, scene, skin, style, warm_up, steps):
     """The input script of a peer."""
     lammps, mode = code == "LAMMPS", " mode multi" if style == "multi" else ""
     return "\n".join([
-        "units si", "atom_style " + ("sphere" if lammps else "granular"), "atom_modify map array", "boundary p p f", "newton off",
+        "units si", "atom_style " + ("sphere" if lammps else "granular"), "atom_modify map array", "boundary p p f",
+                      "newton off",
         f"neighbor {skin * min(scene.diameters):g} {style}", "neigh_modify delay 0", "processors * 1 1",
-        f"comm_modify{mode} vel yes" if lammps else "communicate single vel yes", f"read_data {code}.data", *law_of(code, scene),
+        f"comm_modify{mode} vel yes" if lammps else "communicate single vel yes", f"read_data {code}.data",
+                      *law_of(code, scene),
         f"timestep {scene.step:g}", f"fix weight all gravity {GRAVITY} vector 0 0 -1", "fix move all nve/sphere",
-        "compute height all reduce ave z", "thermo_style custom step c_height", f"thermo {warm_up + steps}", f"run {warm_up}",
+        "compute height all reduce ave z", "thermo_style custom step c_height", f"thermo {warm_up + steps}",
+                      f"run {warm_up}",
         f"run {steps}\n"])
 
 
@@ -154,10 +164,12 @@ def run_peer(code, scene, ranks, warm_up, steps, folder, skin, style):
     text = launch([PEERS[code][0], "-log", "none", "-in", f"{name}.in"], ranks, folder, name)
     if not text:
         return None
-    seconds, atoms, pair, search, rebuilds, pairs, height = (float(re.findall("(?m)" + key + r"(\S+)", text)[-1]) for key in (
+    seconds, atoms, pair, search, rebuilds, pairs, height = (float(re.findall("(?m)" + key + r"(\S+)",
+                                                                              text)[-1]) for key in (
         "^Loop time of ", "^Loop time .* with ", "^Pair" + TIME_OF, "^Neigh" + TIME_OF, "^Neighbor list builds = ",
         "^Ave neighs/atom = ", f"^ *{warm_up + steps} +"))
-    return {"speed": atoms * steps / seconds * 1e-6, "search": search / seconds, "forces": pair / seconds, "rebuilds": rebuilds,
+    return {"speed": atoms * steps / seconds * 1e-6, "search": search / seconds, "forces": pair / seconds,
+            "rebuilds": rebuilds,
             "pairs": pairs, "height": height}
 
 
@@ -170,7 +182,8 @@ def worker(scene, warm_up, steps):
     before, built, tick = dict(contacts.seconds), contacts.rebuilds, time.perf_counter()
     beads.advance(steps * scene.step, contacts)
     wall = comm.allreduce(time.perf_counter() - tick, op=MPI.MAX)
-    number, part = beads.total_number, {k: comm.allreduce(contacts.seconds[k] - before[k]) / comm.size / wall for k in before}
+    number, part = beads.total_number, {k: comm.allreduce(contacts.seconds[k] - before[k]) / comm.size / wall
+                                        for k in before}
     out = {"speed": number * contacts.steps_last / wall * 1e-6, "search": part["neighbours"], "forces": part["contacts"],
            "rebuilds": contacts.rebuilds - built, "pairs": comm.allreduce(len(contacts.lists.first)) / number,
            "height": comm.allreduce(beads.position[:, 2].sum()) / number}
@@ -180,7 +193,8 @@ def worker(scene, warm_up, steps):
 def time_codes(name, peers, ranks, repeats, warm_up, steps, skins, folder, progress):
     """One row for each code, the fastest of its settings by the median of interleaved runs on the bed in the folder."""
     scene, runs, rows = SCENES[name], {}, {}
-    settings = [("fe_el", 0.0, "own")] + [(code, skin, style) for code in peers for skin in skins for style in ("bin", "multi")
+    settings = [("fe_el", 0.0, "own")] + [(code, skin, style) for code in peers for skin in skins for style in ("bin",
+                                                                                                                "multi")
                                           if style == "bin" or code == "LAMMPS" and len(scene.diameters) > 1]
     me = [sys.executable, "-m", "mpi4py", str(Path(__file__).resolve()), "--worker", name, str(warm_up), str(steps)]
     for code, skin, style in tqdm(settings * repeats, desc=folder.name, unit="run", disable=not progress):
@@ -227,7 +241,8 @@ def table(output, rows):
     from matplotlib import pyplot as plt
     with open(Path(output) / "contacts_against_peers.csv", "w", newline="") as file:
         csv.writer(file).writerows([rows[0].keys(), *(r.values() for r in rows)])
-    print("scene      beads ranks code      million/s  fe_el/it  search  forces rebuilds pairs/bead  mean height [m] skin, style")
+    print("scene      beads ranks code      million/s  fe_el/it  search  forces rebuilds pairs/bead  mean height [m] skin, "
+          "style")
     line = ("{scene:<8} {particles:7d} {ranks:5d} {code:<9} {speed:9.2f} {fe_el_over_it:9.2f} {search:7.1%} {forces:7.1%} "
             "{rebuilds:8.0f} {pairs:10.2f} {height:15.8f} {skin:g} {style}")
     print(*(line.format(**r) for r in rows), sep="\n")

@@ -36,7 +36,8 @@ def arguments():
 
 
 def main(diameter=2.5e-3, particles=6000, slot=0.02, stiffness=2000.0, friction=0.3, rolling_friction=0.0, restitution=0.7,
-         settle_time=0.3, end_time=1.0, time_step=1e-3, output_every=0.05, seed=1, output="out/contacts_only", progress=True):
+         settle_time=0.3, end_time=1.0, time_step=1e-3, output_every=0.05, seed=1, output="out/contacts_only",
+         progress=True):
     """Fill the silo, open the outlet, and return the summary."""
     if not 0 < slot < WIDTH:
         raise ValueError(f"--slot is {slot}; give a width between 0 and that of the silo, {WIDTH} m.")
@@ -69,12 +70,15 @@ def main(diameter=2.5e-3, particles=6000, slot=0.02, stiffness=2000.0, friction=
     seconds = {k: closed.seconds[k] + open_.seconds[k] for k in closed.seconds}
     closed.seconds = seconds
     numbers = {
-        "particles": particles, "cells": beads.comm.allreduce(beads.cells.owned), "end_time": end_time, "wall_time": wall_time,
+        "particles": particles, "cells": beads.comm.allreduce(beads.cells.owned), "end_time": end_time,
+               "wall_time": wall_time,
         "contact_step": time_step / max(open_.steps_last or closed.steps_last, 1), "left_particles": beads.left,
         "left_mass": beads.left_mass, "lost_particles": particles - beads.left - beads.total_number,
         "mass_balance": abs(beads.left_mass + beads.comm.allreduce(beads.mass.sum()) - total) / total,
-        "discharge_rate": rate, "beverloo_rate": 1.03 * bulk * np.sqrt(GRAVITY) * DEPTH * max(slot - 1.4 * diameter, 0) ** 1.5,
-        "largest_overlap_over_diameter": beads.comm.allreduce(max(closed.largest_overlap, open_.largest_overlap), op=MPI.MAX),
+        "discharge_rate": rate, "beverloo_rate": 1.03 * bulk * np.sqrt(GRAVITY) * DEPTH * max(slot - 1.4 * diameter,
+                                                                                              0) ** 1.5,
+        "largest_overlap_over_diameter": beads.comm.allreduce(max(closed.largest_overlap, open_.largest_overlap),
+                                                              op=MPI.MAX),
         "kinetic_energy": rows[-1, 2], **fe_el.stage_seconds(closed, out)}
     shown = gather(beads)
     if beads.comm.rank == 0:

@@ -45,23 +45,28 @@ def installed():
 def _cloud(density, coupling, forces, injections, interaction, collisions):
     """kinematicCloudProperties; injections: (name, parcel's number of particles, velocity, diameter)."""
     models = "\n".join(
-        f"{name} {{ type manualInjection; massTotal 0; parcelBasisType fixed; nParticle {count:.10g}; SOI 0; positionsFile \"{name}\"; "
-        f"U0 (0 0 {velocity:.10g}); sizeDistribution {{ type fixedValue; fixedValueDistribution {{ value {diameter:.10g}; }} }} }}"
+        f"{name} {{ type manualInjection; massTotal 0; parcelBasisType fixed; nParticle {count:.10g}; SOI 0; "
+        f"positionsFile \"{name}\"; "
+        f"U0 (0 0 {velocity:.10g}); sizeDistribution "
+        f"{{ type fixedValue; fixedValueDistribution {{ value {diameter:.10g}; }} }} }}"
         for name, count, velocity, diameter in injections)
     return f"""solution {{ active true; coupled true; transient yes; cellValueSourceCorrection off; maxCo 0.3;
   interpolationSchemes {{ rho.air cell; U.air cellPoint; mu.air cell; alpha.air cell; HdotGradH cell; }}
   integrationSchemes {{ U Euler; }} averagingMethod basic; sourceTerms {{ schemes {{ U {coupling} 1; }} }} }}
-constantProperties {{ parcelTypeId 1; rhoMin 1e-15; minParcelMass 1e-20; rho0 {density:g}; youngsModulus 1e6; poissonsRatio 0.3;
+constantProperties {{ parcelTypeId 1; rhoMin 1e-15; minParcelMass 1e-20; rho0 {density:g};
+  youngsModulus 1e6; poissonsRatio 0.3;
   constantVolume true; alphaMax 0.9; }}
 subModels {{ particleForces {{ ErgunWenYuDrag {{ alphac alpha.air; }} {forces} }}
   injectionModels {{ {models} }}
-  dispersionModel none; {interaction} heatTransferModel none; surfaceFilmModel none; stochasticCollisionModel none; radiation off;
+  dispersionModel none; {interaction} heatTransferModel none; surfaceFilmModel none; stochasticCollisionModel none;
+  radiation off;
   {collisions} }}
 cloudFunctions {{ }}
 """
 
 
-def write_case(folder, lengths, number, patches, dt, steps, gas, gravity, particle_density, clouds, coupling="semiImplicit", forces="gravity;",
+def write_case(folder, lengths, number, patches, dt, steps, gas, gravity, particle_density, clouds, coupling="semiImplicit",
+               forces="gravity;",
                initial=0.0, interaction="patchInteractionModel none;", collisions="collisionModel none;", uniform=0.0):
     """Write a case.
 
@@ -81,23 +86,28 @@ def write_case(folder, lengths, number, patches, dt, steps, gas, gravity, partic
     def put(name, text, kind="dictionary"):
         (folder / name).write_text(HEAD.format(kind, Path(name).name) + text)
     put("system/blockMeshDict", block_mesh(lengths, number, {k: v[:3] for k, v in patches.items()}))
-    put("system/controlDict", f"application DPMFoam; startFrom startTime; startTime 0; stopAt endTime; endTime {steps * dt:.12g}; "
+    put("system/controlDict",
+        f"application DPMFoam; startFrom startTime; startTime 0; stopAt endTime; endTime {steps * dt:.12g}; "
         f"deltaT {dt:.12g}; writeControl timeStep; writeInterval 1000000; writeFormat binary; timePrecision 12; "
         f"runTimeModifiable no;\n{AVERAGE}")
     put("system/fvSchemes", SCHEMES)
     put("system/fvSolution", SOLUTION)
     put("constant/g", f"dimensions [0 1 -2 0 0 0 0]; value (0 0 {gravity:.12g});\n", "uniformDimensionedVectorField")
-    put("constant/transportProperties", f"continuousPhase air; rho.air {gas[0]:.12g}; transportModel Newtonian; nu {gas[1] / gas[0]:.12g};\n")
+    put("constant/transportProperties",
+        f"continuousPhase air; rho.air {gas[0]:.12g}; transportModel Newtonian; nu {gas[1] / gas[0]:.12g};\n")
     put("constant/turbulenceProperties.air", "simulationType laminar;\n")
     put("constant/kinematicCloudProperties", _cloud(particle_density, coupling, forces, [
-        (name, count, velocity, diameter) for name, (_, diameter, count, velocity) in clouds.items()], interaction, collisions))
+        (name, count, velocity, diameter) for name, (_, diameter, count, velocity) in clouds.items()], interaction,
+                                                    collisions))
     for name, (position, *_) in clouds.items():
-        put(f"constant/{name}", "(\n" + "\n".join(f"({a:.12g} {b:.12g} {c:.12g})" for a, b, c in position) + "\n)\n", "vectorField")
+        put(f"constant/{name}", "(\n" + "\n".join(f"({a:.12g} {b:.12g} {c:.12g})" for a, b, c in position) + "\n)\n",
+            "vectorField")
     for name, kind, dimensions, inner, column in (
             ("U.air", "volVectorField", "[0 1 -1 0 0 0 0]", f"uniform (0 0 {initial:.12g})", 3),
             ("p", "volScalarField", "[0 2 -2 0 0 0 0]", "uniform 0", 4),
             ("HdotGradH", "volVectorField", "[0 0 0 0 0 0 0]", f"uniform (0 0 {uniform:.12g})", None)):
-        conditions = {k: v[column] if column else "type cyclic;" if v[0] == "cyclic" else "type zeroGradient;" for k, v in patches.items()}
+        conditions = {k: v[column] if column else "type cyclic;" if v[0] == "cyclic" else "type zeroGradient;" for k,
+                      v in patches.items()}
         (folder / "0" / name).write_text(field(kind, name, dimensions, inner, conditions))
 
 
@@ -105,18 +115,23 @@ def run(folder, fastest=np.inf, limit=600.0):
     """Mesh and run a case.
 
     Returns:
-        Dictionary of arrays, one value a step: ``time``, ``seconds`` of wall time, ``sub_steps`` of the particles, ``parcels``,
+        Dictionary of arrays, one value a step: ``time``, ``seconds`` of wall time, ``sub_steps`` of the particles,
+            ``parcels``,
         vertical mean velocities ``gas`` and ``particles``; and ``stopped``, why it ended early, or ``None``: a mean velocity
         above ``fastest`` [m/s], ``limit`` seconds, or an error of DPMFoam's.
     """
     call(["blockMesh"], folder)
-    start, stopped, columns = time.perf_counter(), None, {k: [] for k in ("time", "clock", "sub_steps", "parcels", "mass", "momentum")}
+    start, stopped, columns = time.perf_counter(), None, {k: [] for k in ("time", "clock", "sub_steps", "parcels", "mass",
+                                                                          "momentum")}
     with open(Path(folder) / "log", "w") as log, subprocess.Popen(
-            ["DPMFoam"], cwd=folder, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, bufsize=1) as process:
+            ["DPMFoam"], cwd=folder, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+                                                                  bufsize=1) as process:
         for line in process.stdout:
             log.write(line)
-            for key, pattern in (("time", r"^Time = (\S+)"), ("parcels", r"Current number of parcels += (\S+)"), ("sub_steps", r"^ *(\d+) move-collide"),
-                                 ("mass", r"Current mass in system += (\S+)"), ("momentum", r"Linear momentum += \(\S+ \S+ (\S+)\)")):
+            for key, pattern in (("time", r"^Time = (\S+)"), ("parcels", r"Current number of parcels += (\S+)"),
+                                 ("sub_steps", r"^ *(\d+) move-collide"),
+                                 ("mass", r"Current mass in system += (\S+)"),
+                                 ("momentum", r"Linear momentum += \(\S+ \S+ (\S+)\)")):
                 if found := re.search(pattern, line):
                     columns[key].append(float(found[1]))
             if line.startswith("ExecutionTime"):
@@ -132,5 +147,6 @@ def run(folder, fastest=np.inf, limit=600.0):
     files = sorted((Path(folder) / "postProcessing/velocity").glob("*/volFieldValue.dat"))
     gas = [float(v) for f in files for v in re.findall(r"(?m)^[^#]*\(\S+ \S+ (\S+)\)", f.read_text())]
     return {"stopped": stopped, "time": np.array(columns["time"][:n]), "seconds": np.diff(columns["clock"], prepend=0.0),
-            "sub_steps": np.array(columns["sub_steps"][:n]), "parcels": np.array(columns["parcels"][:n]), "gas": np.array(gas[:n]),
+            "sub_steps": np.array(columns["sub_steps"][:n]), "parcels": np.array(columns["parcels"][:n]),
+            "gas": np.array(gas[:n]),
             "particles": np.array(columns["momentum"][:n]) / np.array(columns["mass"][:n])}

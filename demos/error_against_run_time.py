@@ -26,7 +26,8 @@ def arguments():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     p.add_argument("--schemes", nargs="+", default=["conservative", "sub_cycled", "explicit", "implicit", "split"],
                    help="coupling schemes; sub_cycled: conservative with four steps of the fluid in one")
-    p.add_argument("--dt-star", type=float, nargs="+", default=[0.02, 0.05, 0.1, 0.2, 0.4375, 1.0, 2.0, 4.0, 8.0, 17.5, 1000.0],
+    p.add_argument("--dt-star", type=float, nargs="+", default=[0.02, 0.05, 0.1, 0.2, 0.4375, 1.0, 2.0, 4.0, 8.0, 17.5,
+                                                                1000.0],
                    help="time steps in fluid relaxation times of eq. 10")
     p.add_argument("--cells", type=int, nargs="+", default=[4], help="cubes across the box, each value one mesh")
     p.add_argument("--box", type=float, default=32.0, help="edge of the cubic box in particle diameters")
@@ -67,7 +68,8 @@ def slip_history(scene, dt_star, end_time):
     return np.array(history[:steps + 1]), drift, True, wall
 
 
-def main(schemes=("conservative", "sub_cycled", "explicit", "implicit", "split"), dt_star=(0.02, 0.05, 0.1, 0.2, 0.4375, 1.0, 2.0, 4.0, 8.0, 17.5, 1000.0),
+def main(schemes=("conservative", "sub_cycled", "explicit", "implicit", "split"),
+         dt_star=(0.02, 0.05, 0.1, 0.2, 0.4375, 1.0, 2.0, 4.0, 8.0, 17.5, 1000.0),
          cells=(4,), box=32.0, smoothing_length=None, end_time=0.06, seeds=2, reference_dt_star=0.02,
          output="out/error_against_run_time", progress=True):
     """Run all combinations and return the summary."""
@@ -95,7 +97,8 @@ def main(schemes=("conservative", "sub_cycled", "explicit", "implicit", "split")
                 bar.update()
     bar.close()
     rows = [{"cells": n, "scheme": scheme, "dt_star": step, "stable": all(stables[key]),
-             "slip_error": float(np.sqrt(np.mean(np.square(errors[key])))), "mean_slip_error": float(np.mean(means[key])), "drift_over_weight": float(np.mean(drifts[key])),
+             "slip_error": float(np.sqrt(np.mean(np.square(errors[key])))), "mean_slip_error": float(np.mean(means[key])),
+             "drift_over_weight": float(np.mean(drifts[key])),
              "seconds": float(np.median(walls[key]))} for key in errors for n, scheme, step in [key]]
     numbers = {"wall_time": time.perf_counter() - start, "seeds": seeds, "end_time": end_time}
     for scheme in schemes:
@@ -122,9 +125,11 @@ def table(output, rows):
         writer = csv.DictWriter(file, rows[0].keys())
         writer.writeheader()
         writer.writerows(rows)
-    print(f"{'cells':>5} {'scheme':<20} {'dt*':>8} {'stable':>6} {'slip error':>11} {'of its mean':>11} {'drift/weight':>12} {'seconds':>8}")
+    print(f"{'cells':>5} {'scheme':<20} {'dt*':>8} {'stable':>6} {'slip error':>11} {'of its mean':>11} "
+          f"{'drift/weight':>12} {'seconds':>8}")
     for r in rows:
-        print(f"{r['cells']:5d} {r['scheme']:<20} {r['dt_star']:8.4g} {r['stable']!s:>6} {r['slip_error']:11.2e} {r['mean_slip_error']:+11.2e} "
+        print(f"{r['cells']:5d} {r['scheme']:<20} {r['dt_star']:8.4g} {r['stable']!s:>6} {r['slip_error']:11.2e} "
+              f"{r['mean_slip_error']:+11.2e} "
               f"{r['drift_over_weight']:12.1e} {r['seconds']:8.2f}")
 
 

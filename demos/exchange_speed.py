@@ -29,11 +29,13 @@ def arguments():
 
 
 def bed(part):
-    """Beads, air and coupling of the fluidised bed, with its beads as close as in a bed at rest, in the order of their cells."""
+    """Beads, air and coupling of the fluidised bed, with its beads as close as in a bed at rest, in the order of their
+    cells."""
     beads, _, air, coupling = fluidised_bed.assemble(slice=part)
     fluidised_bed.fill(beads, part, 1)
     area = fluidised_bed.WIDTH * part * fluidised_bed.DEPTH
-    filled, top = beads.comm.allreduce(beads.volume.sum()), beads.comm.allreduce(beads.position[:, 2].max(initial=0.0), op=MPI.MAX)
+    filled, top = beads.comm.allreduce(beads.volume.sum()), beads.comm.allreduce(beads.position[:, 2].max(initial=0.0),
+                                                                                 op=MPI.MAX)
     beads.position[:, 2] *= filled / (SOLID_FRACTION * area * top)
     beads.locate()
     beads.select(np.argsort(beads.cell, kind="stable"))
@@ -41,7 +43,8 @@ def bed(part):
 
 
 def suspension(number):
-    """Particles, gas and coupling of a periodic suspension: about 41 particles of 1/6 of the edge in each cube, in no order."""
+    """Particles, gas and coupling of a periodic suspension: about 41 particles of 1/6 of the edge in each cube, in no
+    order."""
     cubes = max(round((number / PER_CUBE) ** (1 / 3)), 3)
     edge = cubes * CUBE * DIAMETER
     mesh, _ = fe_el.periodic_box((edge,) * 3, (cubes,) * 3)
@@ -80,7 +83,8 @@ def main(slices=(0.22, 1.0), particles=(10_000, 100_000, 1_000_000), steps=10, o
         raise ValueError(f"--steps is {steps}; give 1 or more.")
     logging.getLogger().setLevel(logging.WARNING)
     comm, numbers, suspensions = MPI.COMM_WORLD, {}, []
-    for make, size, dt, name in [(bed, s, 1e-3, "bed") for s in slices] + [(suspension, n, 1e-4, "suspension") for n in particles]:
+    for make, size, dt, name in [(bed, s, 1e-3, "bed") for s in slices] + [(suspension, n, 1e-4,
+                                                                            "suspension") for n in particles]:
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         scene = make(size)
         mapping, drag, fluid, whole = measured(*scene, dt, steps, make is suspension)
@@ -93,8 +97,10 @@ def main(slices=(0.22, 1.0), particles=(10_000, 100_000, 1_000_000), steps=10, o
             ("share_of_fluid", fluid / whole), ("bytes_per_particle", memory),
             ("cells", comm.allreduce(scene[0].cells.owned)), ("momentum_imbalance", scene[2].momentum_imbalance))}
         if comm.rank == 0 and progress:
-            print(f"{name:10s} of {number:8d}: mapping {mapping:5.0f} ns, drag {drag:5.0f} ns, together {mapping + drag:5.0f} ns per "
-                  f"particle and step, fluid {100 * fluid / whole:3.0f} % of the step, {memory:6.0f} bytes per particle", flush=True)
+            print(f"{name:10s} of {number:8d}: mapping {mapping:5.0f} ns, drag {drag:5.0f} ns, together "
+                  f"{mapping + drag:5.0f} ns per "
+                  f"particle and step, fluid {100 * fluid / whole:3.0f} % of the step, {memory:6.0f} bytes per particle",
+                  flush=True)
     if len(suspensions) > 1:
         (few, cost_few), (many, cost_many) = suspensions[0], suspensions[-1]
         numbers["growth_exponent"] = 1 + np.log(cost_many / cost_few) / np.log(many / few)

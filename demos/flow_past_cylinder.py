@@ -1,4 +1,5 @@
-"""Flow past a cylinder in a channel, the benchmark of Schaefer and Turek (1996): 2D-1 (Re 20, steady) and 2D-2 (Re 100, shedding)."""
+"""Flow past a cylinder in a channel, the benchmark of Schaefer and Turek (1996): 2D-1 (Re 20, steady) and 2D-2 (Re 100,
+shedding)."""
 import argparse
 import logging
 import time
@@ -21,7 +22,8 @@ SHEDDING = {"strouhal": (0.295, 0.305), "largest_drag": (3.22, 3.24), "largest_l
 def arguments():
     """Command line of the demo."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
-    p.add_argument("--reynolds", type=float, default=100.0, help="of the mean velocity and the diameter; 20: steady, 100: shedding")
+    p.add_argument("--reynolds", type=float, default=100.0,
+                   help="of the mean velocity and the diameter; 20: steady, 100: shedding")
     p.add_argument("--around", type=int, default=64, help="segments on the cylinder, a multiple of four")
     p.add_argument("--size", type=float, default=0.04, help="edges far from the cylinder [m]")
     p.add_argument("--growth", type=float, default=0.1, help="gain of size per distance from the cylinder")
@@ -53,7 +55,8 @@ def channel(reynolds, around, size, growth):
 
 
 def strouhal_number(times, lift, mean):
-    """Shedding frequency over the last half of the run times diameter over mean velocity; not a number without two periods."""
+    """Shedding frequency over the last half of the run times diameter over mean velocity; not a number without two
+    periods."""
     late = times > 0.5 * times[-1]
     t, y = times[late], lift[late] - lift[late].mean()
     k = np.flatnonzero((y[:-1] < 0) & (y[1:] >= 0))
@@ -100,7 +103,8 @@ def picture(output, times, drag, lift, numbers):
     axis.plot(times, drag, label="drag coefficient")
     axis.plot(times, lift, label="lift coefficient")
     low, high = min(lift[len(lift) // 4:].min(), 0), drag[len(drag) // 4:].max()
-    axis.set(xlabel="time [s]", ylim=(1.2 * low - 0.2, 1.2 * high), title=f"Re {numbers['reynolds']:g}, {numbers['cells']} triangles")
+    axis.set(xlabel="time [s]", ylim=(1.2 * low - 0.2, 1.2 * high),
+             title=f"Re {numbers['reynolds']:g}, {numbers['cells']} triangles")
     axis.legend()
     figure.tight_layout()
     figure.savefig(Path(output) / "forces.png", dpi=110)

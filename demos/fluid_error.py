@@ -67,7 +67,8 @@ def main(vortex_fe_el=SIZES["vortex-fe-el"], vortex_ico_foam=SIZES["vortex-ico-f
     if not peer:
         print("icoFoam is not installed (Debian: openfoam); fe_el and Taylor-Hood run without it.")
     with tempfile.TemporaryDirectory() as scratch:
-        runs = [(scene, code, n, run, cost * n ** 3) for (scene, code), (run, cost) in cases(f"{scratch}/case", end_time).items()
+        runs = [(scene, code, n, run, cost * n ** 3) for (scene, code),
+                (run, cost) in cases(f"{scratch}/case", end_time).items()
                 if peer or "icoFoam" not in code for n in sizes[f"{scene} {code.split()[0]}"]]
         with tqdm(total=repeats * sum(r[-1] for r in runs), disable=not progress,
                   bar_format="{desc:<32}{percentage:3.0f}%|{bar}| {elapsed}, {remaining} left") as bar:
@@ -77,7 +78,8 @@ def main(vortex_fe_el=SIZES["vortex-fe-el"], vortex_ico_foam=SIZES["vortex-ico-f
                 bar.update(cost)
     table = medians(rows)
     write(output, rows, table)
-    numbers = {f"{scene}_{code.replace(' ', '_').replace('-', '_')}_{n}_{what}": value for (scene, code, n), row in table.items()
+    numbers = {f"{scene}_{code.replace(' ', '_').replace('-', '_')}_{n}_{what}": value for (scene, code, n),
+               row in table.items()
                for what, value in row.items()}
     return fe_el.write_summary(output, **numbers, end_time=end_time, repeats=repeats, wall_time=time.perf_counter() - start)
 

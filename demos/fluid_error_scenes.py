@@ -97,7 +97,8 @@ def vortex_of_ico_foam(n, folder, ddt):
 def centre_lines():
     """Points (points, 3), components, and the values of Botella and Peyret and of Ghia et al. there.
 
-    The points are 128ths. At 128 squares they are nodes of fe_el, where linear interpolation adds no error: 96 compares better.
+    The points are 128ths. At 128 squares they are nodes of fe_el, where linear interpolation adds no error: 96 compares
+    better.
     """
     def read(name):
         with open(REFERENCE / name) as file:
@@ -106,7 +107,8 @@ def centre_lines():
     precise, ghia = read("botella_peyret1998_cavity.csv"), read("ghia1982_cavity.csv")
     at = [round(128 * c) / 128 for _, c in precise]  # what is printed is rounded
     x = [(0.5, c, 0.0) if line == "u" else (c, 0.5, 0.0) for (line, _), c in zip(precise, at)]
-    return np.array(x), np.array(["uv".index(line) for line, _ in precise]), np.array([(v, ghia[k]) for k, v in precise.items()])
+    return np.array(x), np.array(["uv".index(line) for line, _ in precise]), np.array([(v, ghia[k]) for k,
+                                                                                       v in precise.items()])
 
 
 def compared(cells, seconds, velocity):
@@ -133,7 +135,8 @@ def cavity_of_taylor_hood(n, end_time):
     """Cells, seconds and deviations of Taylor-Hood."""
     mesh, tags = fe_el.box((1.0, 1.0), (n, n))
     lid = tags.values == 4
-    air = TaylorHood(mesh, 1.0, CAVITY_VISCOSITY, [(tags.indices[lid], (1.0, 0.0)), (tags.indices[~lid], (0.0, 0.0))], time_order=1)
+    air = TaylorHood(mesh, 1.0, CAVITY_VISCOSITY, [(tags.indices[lid], (1.0, 0.0)), (tags.indices[~lid], (0.0, 0.0))],
+                     time_order=1)
     seconds = march(air, TAYLOR_HOOD_STEP, round(end_time / TAYLOR_HOOD_STEP))
     return compared(4 * n * n, seconds, air.at_points)
 
@@ -148,4 +151,5 @@ def cavity_of_ico_foam(n, folder, end_time):
     seconds = ico_foam.run(folder)
     at, u = np.r_[0, (np.arange(n) + 0.5) / n, 1], np.zeros((n + 2, n + 2, 2))
     u[1:-1, 1:-1], u[-1, :, 0] = ico_foam.final_velocity(folder, n * n).reshape(n, n, 2), 1.0
-    return compared(n * n, max(float(seconds[-1] - seconds[0]), TICK), lambda x: RegularGridInterpolator((at, at), u)(x[:, 1::-1]))
+    return compared(n * n, max(float(seconds[-1] - seconds[0]), TICK),
+                    lambda x: RegularGridInterpolator((at, at), u)(x[:, 1::-1]))

@@ -22,7 +22,8 @@ EDGE, LID, VISCOSITY, COURANT = 0.1, 1.0, 1e-4, 0.3
 def arguments():
     """Command line of the demo."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
-    p.add_argument("--cubes", type=int, nargs="*", default=[12, 20, 25], help="cubes per edge of fe_el's cube, six tetrahedra each")
+    p.add_argument("--cubes", type=int, nargs="*", default=[12, 20, 25],
+                   help="cubes per edge of fe_el's cube, six tetrahedra each")
     p.add_argument("--steps", type=int, default=40, help="steps that are timed, after 20 that are not")
     p.add_argument("--repeats", type=int, default=3, help="runs of each, one code after the other; the median counts")
     p.add_argument("--output", default="out/fluid_speed", help="folder for results")

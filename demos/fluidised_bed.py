@@ -1,4 +1,5 @@
-"""A bidisperse gas-fluidised bed on a tetrahedral mesh: 27,720 beads of 1.5 mm and 17,940 of 2.5 mm (Goldschmidt et al. 2003)."""
+"""A bidisperse gas-fluidised bed on a tetrahedral mesh: 27,720 beads of 1.5 mm and 17,940 of 2.5 mm (Goldschmidt et al.
+2003)."""
 import argparse
 import logging
 from pathlib import Path
@@ -24,7 +25,8 @@ SMALL, LARGE, NUMBER_SMALL, NUMBER_LARGE = 1.5e-3, 2.5e-3, 27_720, 17_940
 def arguments():
     """Command line of the demo."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
-    p.add_argument("--superficial-velocity", type=float, default=1.3, help="gas velocity at the inlet [m/s]; 0: no gas, dry bed")
+    p.add_argument("--superficial-velocity", type=float, default=1.3,
+                   help="gas velocity at the inlet [m/s]; 0: no gas, dry bed")
     p.add_argument("--end-time", type=float, default=1.0, help="simulated time [s]")
     p.add_argument("--time-step", type=float, default=1e-3, help="fluid time step [s]")
     p.add_argument("--slice", type=float, default=1.0, help="fraction of the bed's width, same height")
@@ -36,7 +38,8 @@ def arguments():
     p.add_argument("--checkpoint-every", type=float, help="time between checkpoints, OUTPUT/checkpoint.h5 [s]; absent: none")
     p.add_argument("--restart", help="checkpoint to go on from, of a run with the same slice and cell size")
     p.add_argument("--record-every", type=int, default=10, help="steps between records of pressure, heights and ledger")
-    p.add_argument("--report", action="store_true", help="error against wall time over step, steps in a contact and cell size")
+    p.add_argument("--report", action="store_true",
+                   help="error against wall time over step, steps in a contact and cell size")
     p.add_argument("--seed", type=int, default=1, help="seed of the initial mixture")
     p.add_argument("--output", default="out/fluidised_bed", help="folder for results")
     return p
@@ -87,7 +90,8 @@ def drag_law_drop(beads, law, velocity, area):
     layer = np.minimum((beads.position[:, 2] / thickness).astype(int), int(HEIGHT / thickness))
     count = int(HEIGHT / thickness) + 1
     sizes = (SMALL, LARGE)
-    solid = np.array([np.bincount(layer[np.isclose(beads.diameter, d)], minlength=count) * np.pi / 6 * d ** 3 for d in sizes])
+    solid = np.array([np.bincount(layer[np.isclose(beads.diameter, d)],
+                                  minlength=count) * np.pi / 6 * d ** 3 for d in sizes])
     solid = beads.comm.allreduce(solid) / (area * thickness)
     total, drop = solid.sum(0), 0.0
     for share, d in zip(solid, sizes):
@@ -145,7 +149,8 @@ def main(superficial_velocity=1.3, end_time=1.0, time_step=1e-3, slice=1.0, drag
             saved[0] += checkpoint_every
     with out:
         numbers = bed_runs.run(bed, time_step, end_time, out, record, record_every, begin, after, progress)
-    numbers |= {"slice": slice, "cells": beads.comm.allreduce(beads.cells.owned), "superficial_velocity": superficial_velocity,
+    numbers |= {"slice": slice, "cells": beads.comm.allreduce(beads.cells.owned),
+                "superficial_velocity": superficial_velocity,
                 "steps_per_contact": steps_per_contact, "bed_weight_per_area": weight}
     return finish(output, record, bed, numbers, weight, area)
 
@@ -155,12 +160,14 @@ def finish(output, record, bed, numbers, weight, area):
     rows = np.array(record.rows)
     late = rows[rows[:, 0] > 0.5 * numbers["end_time"]]
     drop = late[:, 1]
-    numbers |= {"mean_height_small": late[:, 2].mean(), "mean_height_large": late[:, 3].mean(), "kinetic_energy": late[-1, 4],
+    numbers |= {"mean_height_small": late[:, 2].mean(), "mean_height_large": late[:, 3].mean(),
+                "kinetic_energy": late[-1, 4],
                 "pressure_drop": drop.mean(), "pressure_drop_error": bed_runs.standard_error(drop),
                 "pressure_drop_fluctuation": drop.std()}
     if bed.air:
         numbers |= {"pressure_drop_over_weight": drop.mean() / weight,
-                    "drag_law_pressure_drop": drag_law_drop(bed.beads, bed.coupling.drag, numbers["superficial_velocity"], area)}
+                    "drag_law_pressure_drop": drag_law_drop(bed.beads, bed.coupling.drag, numbers["superficial_velocity"],
+                                                            area)}
     if bed.beads.comm.rank == 0:
         picture(output, rows, record.snapshots, numbers)
     return fe_el.write_summary(output, bed.beads.comm, **numbers)
@@ -171,14 +178,17 @@ def meaning(numbers):
     ratio = numbers.get("pressure_drop_over_weight", 0.0)
     if not ratio:
         return "There is no gas: a dry bed."
-    share = f"The gas carries {100 * ratio:.0f} % of the bed's weight ({numbers['pressure_drop']:.0f} of {numbers['bed_weight_per_area']:.0f} Pa)"
+    share = (f"The gas carries {100 * ratio:.0f} % of the bed's weight ({numbers['pressure_drop']:.0f} of "
+             f"{numbers['bed_weight_per_area']:.0f} Pa)")
     if ratio < 0.9:
         return share + ": the bed rests, held by contacts."
-    return share + (": the bed is fluidised." if ratio < 1.1 else ": more than it weighs, so beads are being lifted or jammed.")
+    return share + (": the bed is fluidised." if ratio < 1.1 else
+                    ": more than it weighs, so beads are being lifted or jammed.")
 
 
 def picture(output, rows, snapshots, numbers):
-    """PNG: beads by vertical velocity at four instants, their sizes at the end, pressure drop and mean heights against time."""
+    """PNG: beads by vertical velocity at four instants, their sizes at the end, pressure drop and mean heights against
+    time."""
     from matplotlib import pyplot as plt
     width = WIDTH * numbers["slice"]
     top = 1.05 * max(s["position"][:, 2].max() for s in snapshots)
@@ -188,7 +198,8 @@ def picture(output, rows, snapshots, numbers):
     left, right = figure.subfigures(1, 2, width_ratios=[4.6 * narrow * panels + 1.5, 5.0])
     axes = left.subplots(1, panels, sharey=True)
     for axis, s in zip(axes, snapshots):
-        shown = bed_runs.draw_beads(axis, s, s["velocity"][:, 2], width, top, f"{s['time']:.2f} s", cmap="RdBu_r", clim=(-limit, limit))
+        shown = bed_runs.draw_beads(axis, s, s["velocity"][:, 2], width, top, f"{s['time']:.2f} s", cmap="RdBu_r",
+                                    clim=(-limit, limit))
     left.colorbar(shown, ax=list(axes[:-1]), location="bottom", shrink=0.8, label="vertical velocity [m/s]", pad=0.02)
     s = snapshots[-1]
     sizes = bed_runs.draw_beads(axes[-1], s, s["diameter"] * 1e3, width, top, "sizes", cmap="coolwarm")

@@ -34,7 +34,8 @@ def installed():
 def block_mesh(lengths, number, patches):
     """blockMeshDict of a box; patches: name -> (type, further entries, faces as in 'x- y+')."""
     x, y, z = lengths
-    faces = {"x-": "(0 4 7 3)", "x+": "(1 2 6 5)", "y-": "(0 1 5 4)", "y+": "(3 7 6 2)", "z-": "(0 3 2 1)", "z+": "(4 5 6 7)"}
+    faces = {"x-": "(0 4 7 3)", "x+": "(1 2 6 5)", "y-": "(0 1 5 4)", "y+": "(3 7 6 2)", "z-": "(0 3 2 1)",
+             "z+": "(4 5 6 7)"}
     corners = " ".join(f"({a} {b} {c})" for a, b, c in
                        [(0, 0, 0), (x, 0, 0), (x, y, 0), (0, y, 0), (0, 0, z), (x, 0, z), (x, y, z), (0, y, z)])
     boundary = "\n".join(f"{name} {{ type {kind}; {more} faces ({' '.join(faces[f] for f in where.split())}); }}"
@@ -64,7 +65,8 @@ def write_case(folder, lengths, number, patches, viscosity, dt, steps, initial="
     def put(name, text, kind="dictionary"):
         (folder / name).write_text(HEAD.format(kind, Path(name).name) + text if kind == "dictionary" else text)
     put("system/blockMeshDict", block_mesh(lengths, number, {k: v[:3] for k, v in patches.items()}))
-    put("system/controlDict", f"application icoFoam; startFrom startTime; startTime 0; stopAt endTime; endTime {steps * dt:.12g}; "
+    put("system/controlDict",
+        f"application icoFoam; startFrom startTime; startTime 0; stopAt endTime; endTime {steps * dt:.12g}; "
         f"deltaT {dt:.12g}; writeControl timeStep; writeInterval {steps}; writeFormat ascii; writePrecision 12; "
         "timePrecision 12; runTimeModifiable no;\n")
     put("system/fvSchemes", SCHEMES.format(ddt=ddt))

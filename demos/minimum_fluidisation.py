@@ -1,9 +1,13 @@
 """Pressure drop of a bed against gas velocity, up through minimum fluidisation and down again, beside Ergun's equation.
 
-CFDEMcoupling's Ergun test: 10,000 beads of 1 mm and 2000 kg/m^3 in a cylinder of 13.85 mm radius, a gas of 10 kg/m^3 and 1.5e-4 m^2/s.
-The beads are packed dry, the gas rises slowly from zero past the velocity of minimum fluidisation and falls again. A resting bed follows
-Ergun's equation, layer by layer of its own void fraction, less what gas gains by way of looser places (walls, and the noise of cells that
-hold a few beads); a fluidised one carries its weight. U_mf is where the curve of the resting bed reaches the weight. Three minutes.
+CFDEMcoupling's Ergun test: 10,000 beads of 1 mm and 2000 kg/m^3 in a cylinder of 13.85 mm radius, a gas of 10 kg/m^3 and
+1.5e-4 m^2/s.
+The beads are packed dry, the gas rises slowly from zero past the velocity of minimum fluidisation and falls again. A resting
+bed follows
+Ergun's equation, layer by layer of its own void fraction, less what gas gains by way of looser places (walls, and the noise
+of cells that
+hold a few beads); a fluidised one carries its weight. U_mf is where the curve of the resting bed reaches the weight. Three
+minutes.
     python demos/minimum_fluidisation.py
 """
 import argparse
@@ -66,7 +70,8 @@ def first_positions(number, seed):
     x, y = (a.ravel() for a in np.meshgrid(side, side))
     keep = np.hypot(x, y) < RADIUS - 0.75 * DIAMETER
     layers = int(np.ceil(number / keep.sum()))
-    at = np.concatenate([np.column_stack([x[keep], y[keep], np.full(keep.sum(), (k + 0.6) * step)]) for k in range(layers)])[:number]
+    at = np.concatenate([np.column_stack([x[keep], y[keep], np.full(keep.sum(),
+                                                                    (k + 0.6) * step)]) for k in range(layers)])[:number]
     return at + rng.uniform(-0.05, 0.05, at.shape) * DIAMETER
 
 
@@ -80,7 +85,8 @@ def layers(beads, area):
 
 
 def bed_state(beads, area, velocity):
-    """Height of the bed, void fraction of its middle half, and pressure drop by Ergun's equation, layer by layer; collective."""
+    """Height of the bed, void fraction of its middle half, and pressure drop by Ergun's equation, layer by layer;
+    collective."""
     void = layers(beads, area)
     solid = 1 - void
     height = 2 * DIAMETER * (solid @ (np.arange(len(solid)) + 0.5)) / solid.sum()
@@ -88,7 +94,8 @@ def bed_state(beads, area, velocity):
     return height, void[middle].mean(), ergun(void, velocity, DIAMETER)[solid > 1e-3].sum()
 
 
-def main(largest_velocity=0.024, ramp_time=1.5, settle_time=0.25, number=10_000, cell_size=0.003, time_step=1e-3, steps_per_contact=20,
+def main(largest_velocity=0.024, ramp_time=1.5, settle_time=0.25, number=10_000, cell_size=0.003, time_step=1e-3,
+         steps_per_contact=20,
          stiffness=50.0, drag="ergun", seed=1, output="out/minimum_fluidisation", progress=True):
     """Ramp the gas up and down and return the summary."""
     logging.getLogger().setLevel(logging.WARNING)
@@ -107,7 +114,8 @@ def main(largest_velocity=0.024, ramp_time=1.5, settle_time=0.25, number=10_000,
     air.set_velocity(INLET, lambda time, x: (0.0, 0.0, speed(time)))
     air.set_pressure(OUTLET, 0.0)
     air.set_no_slip(WALL)
-    coupling = fe_el.Coupling(beads, air.velocity, air.pressure, GAS_DENSITY, GAS_VISCOSITY, [fe_el.Drag(drag), fe_el.PressureGradient()])
+    coupling = fe_el.Coupling(beads, air.velocity, air.pressure, GAS_DENSITY, GAS_VISCOSITY,
+                              [fe_el.Drag(drag), fe_el.PressureGradient()])
     bed, rows = bed_runs.Bed(beads, contacts, air, coupling), []
     area = mesh.comm.allreduce(beads.cells.volume[:beads.cells.owned].sum()) / HEIGHT
 
@@ -123,19 +131,22 @@ def finish(output, comm, rows, weight, ramp_time, numbers):
     """Compare with Ergun's equation and the weight; write curve, picture and summary."""
     time, velocity, drop, height, void, expected = rows.T
     down, packed = time > ramp_time, (drop < 0.8 * weight) & (drop > 0.1 * weight)
-    numbers |= {"weight_per_area": weight, "pressure_drop_fluidised_over_weight": drop[velocity > 0.9 * velocity.max()].mean() / weight,
+    numbers |= {"weight_per_area": weight, "pressure_drop_fluidised_over_weight": drop[velocity > 0.9
+                                                                                       * velocity.max()].mean() / weight,
                 "void_fraction_at_start": void[0], "void_fraction_at_end": void[-1],
                 "minimum_fluidisation_velocity_by_ergun": minimum_velocity(void[-1])}
     ratio = drop / np.maximum(expected, 1e-300)
     for name, branch in (("rising", packed & ~down), ("falling", packed & down)):
-        if branch.sum() > 3:  # of a resting bed the drop is a polynomial of the velocity; where it reaches the weight is U_mf
+        # of a resting bed the drop is a polynomial of the velocity; where it reaches the weight is U_mf
+        if branch.sum() > 3:
             curve = np.polyfit(drop[branch], velocity[branch], 2)
             numbers |= {f"drop_over_ergun_{name}": ratio[branch].mean(),
                         f"minimum_fluidisation_velocity_{name}": float(np.polyval(curve, weight))}
     if comm.rank == 0:
         with open(Path(output) / "curve.csv", "w", newline="") as file:
             writer = csv.writer(file)
-            writer.writerow(["time_s", "superficial_velocity_m_s", "pressure_drop_Pa", "bed_height_m", "void_fraction", "ergun_by_layers_Pa"])
+            writer.writerow(["time_s", "superficial_velocity_m_s", "pressure_drop_Pa", "bed_height_m", "void_fraction",
+                             "ergun_by_layers_Pa"])
             writer.writerows(rows.tolist())
         picture(output, rows, weight, ramp_time, numbers)
     return fe_el.write_summary(output, comm, **numbers)

@@ -1,10 +1,14 @@
-"""A bubbling bed beside a measurement: voidage and bead velocity that Mueller et al. measured by magnetic resonance (2008, 2009).
+"""A bubbling bed beside a measurement: voidage and bead velocity that Mueller et al. measured by magnetic resonance (2008,
+2009).
 
-44 x 10 mm in plan, 9,240 beads of 1.2 mm and 1000 kg/m^3 (poppy seeds), air at 0.9 or 0.6 m/s. The measured profiles are time means:
-of the voidage across the bed at 16.4 and 31.2 mm above the distributor, and of the vertical velocity of the beads at 15, 25 and 35 mm
+44 x 10 mm in plan, 9,240 beads of 1.2 mm and 1000 kg/m^3 (poppy seeds), air at 0.9 or 0.6 m/s. The measured profiles are
+time means:
+of the voidage across the bed at 16.4 and 31.2 mm above the distributor, and of the vertical velocity of the beads at 15, 25
+and 35 mm
 (0.9 m/s) or 20 mm (0.6 m/s). Published simulations differ from the measured voidage by about 0.06.
 
-Restitution 0.97, friction 0.1, stiffness 200 N/m as in published runs; the depth is resolved with three cells, the walls are no-slip.
+Restitution 0.97, friction 0.1, stiffness 200 N/m as in published runs; the depth is resolved with three cells, the walls are
+no-slip.
 A run of 5 s takes about six minutes for each drag law and velocity.
     python demos/mri_bed.py --drag beetstra gidaspow
     mpirun -n 2 python -m mpi4py demos/mri_bed.py
@@ -36,13 +40,15 @@ MEASURED = Path(__file__).resolve().parent / "mri_bed_measured.csv"
 def arguments():
     """Command line of the demo."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--superficial-velocity", type=float, nargs="+", default=[0.9, 0.6], help="0.9, 0.6 or both [m/s] (0.9 0.6)")
+    p.add_argument("--superficial-velocity", type=float, nargs="+", default=[0.9, 0.6],
+                   help="0.9, 0.6 or both [m/s] (0.9 0.6)")
     p.add_argument("--drag", nargs="+", default=["beetstra", "gidaspow"], help="drag laws, one run each (beetstra gidaspow)")
     p.add_argument("--end-time", type=float, default=6.0, help="simulated time of each run [s] (6)")
     p.add_argument("--average-from", type=float, default=1.0, help="start of the time means [s] (1)")
     p.add_argument("--time-step", type=float, default=5e-4, help="fluid time step [s] (5e-4)")
     p.add_argument("--steps-per-contact", type=int, default=20, help="contact steps in the shortest contact (20)")
-    p.add_argument("--cells", type=int, nargs=3, default=[11, 3, 30], help="cubes along x, y and z, six tetrahedra each (11 3 30)")
+    p.add_argument("--cells", type=int, nargs=3, default=[11, 3, 30],
+                   help="cubes along x, y and z, six tetrahedra each (11 3 30)")
     p.add_argument("--stiffness", type=float, default=200.0, help="contact stiffness [N/m] (200)")
     p.add_argument("--slip", action="store_true", help="slip walls for the gas in place of no-slip ones")
     p.add_argument("--seed", type=int, default=1, help="seed of the first positions (1)")
@@ -56,7 +62,8 @@ def assemble(velocity, drag, cells, stiffness, steps_per_contact, slip, seed):
     down = (0.0, 0.0, -GRAVITY)
     beads = fe_el.Particles(mesh, BEAD_DENSITY, down)
     beads.insert_on_lattice((0, 0, 0), (WIDTH, DEPTH, 0.98 * HEIGHT), np.full(NUMBER, DIAMETER), seed=seed)
-    beads.velocity[:] = np.random.default_rng(seed).normal(scale=0.02, size=(NUMBER, 3))[beads.id]  # equal beads would fall as columns
+    # equal beads would fall as columns
+    beads.velocity[:] = np.random.default_rng(seed).normal(scale=0.02, size=(NUMBER, 3))[beads.id]
     law = fe_el.LinearSpringDashpot(stiffness, restitution=0.97, friction=0.1)
     contacts = fe_el.Contacts(beads, law, walls=(tags, (1, 2, 3, 4, 5)), steps_per_contact=steps_per_contact)
     air = fe_el.VolumeAveragedNavierStokes(mesh, tags, GAS_DENSITY, GAS_VISCOSITY, down, tolerance=1e-8)
@@ -64,7 +71,8 @@ def assemble(velocity, drag, cells, stiffness, steps_per_contact, slip, seed):
     air.set_pressure(6, 0.0)
     (air.set_slip if slip else air.set_no_slip)((1, 2, 3, 4))
     air.set_initial_velocity((0.0, 0.0, velocity))
-    coupling = fe_el.Coupling(beads, air.velocity, air.pressure, GAS_DENSITY, GAS_VISCOSITY, [fe_el.Drag(drag), fe_el.PressureGradient()])
+    coupling = fe_el.Coupling(beads, air.velocity, air.pressure, GAS_DENSITY, GAS_VISCOSITY,
+                              [fe_el.Drag(drag), fe_el.PressureGradient()])
     return bed_runs.Bed(beads, contacts, air, coupling)
 
 
@@ -74,7 +82,8 @@ def measured(velocity):
     with open(MEASURED) as file:
         for row in csv.DictReader(line for line in file if not line.startswith("#")):
             if float(row["U_superficial_m_s"]) == velocity:
-                out.setdefault((row["quantity"], float(row["height_mm"])), []).append((float(row["x_m_from_left_wall"]), float(row["value"])))
+                out.setdefault((row["quantity"], float(row["height_mm"])), []).append((float(row["x_m_from_left_wall"]),
+                                                                                       float(row["value"])))
     return {key: np.array(rows).T for key, rows in out.items()}
 
 
@@ -92,7 +101,8 @@ def compare(averages, velocity):
 
 def one_run(velocity, drag, options, progress):
     """Run one bed; returns its profiles and numbers."""
-    bed = assemble(velocity, drag, options["cells"], options["stiffness"], options["steps_per_contact"], options["slip"], options["seed"])
+    bed = assemble(velocity, drag, options["cells"], options["stiffness"], options["steps_per_contact"], options["slip"],
+                   options["seed"])
     edges = sorted({h for group in HEIGHTS.values() for h in group})
     rows = np.array([(1e-3 * h - THICKNESS / 2, 1e-3 * h + THICKNESS / 2) for h in edges]).ravel()
     averages = bed_runs.Averages(bed.beads, np.linspace(0, WIDTH, COLUMNS + 1), rows, DEPTH)
@@ -137,7 +147,8 @@ def picture(output, results):
     from matplotlib import pyplot as plt
     speeds = sorted({u for u, _ in results}, reverse=True)
     width = max(len(measured(u)) for u in speeds)
-    figure, axes = plt.subplots(len(speeds), width, figsize=(3.2 * width, 3.1 * len(speeds)), squeeze=False, layout="constrained")
+    figure, axes = plt.subplots(len(speeds), width, figsize=(3.2 * width, 3.1 * len(speeds)), squeeze=False,
+                                layout="constrained")
     for row, u in zip(axes, speeds):
         for axis in row[len(measured(u)):]:
             axis.axis("off")

@@ -1,4 +1,5 @@
-"""A user's own weak form: Taylor-Hood fluid in UFL, coupled to particles through void fraction, drag coefficient and source."""
+"""A user's own weak form: Taylor-Hood fluid in UFL, coupled to particles through void fraction, drag coefficient and
+source."""
 import argparse
 import logging
 import time
@@ -81,7 +82,8 @@ def main(dimension=2, cells=6, particles=400, end_time=0.02, time_step=5e-4, out
         out.write(now)
     return fe_el.write_summary(output, mesh.comm, particles=beads.total_number, dimension=d, end_time=end_time,
                                momentum_imbalance=worst, solid_volume_error=coupling.solid_volume_error,
-                               mean_velocity=beads.momentum()[up] / mesh.comm.allreduce(beads.mass.sum()), seconds_fluid=seconds,
+                               mean_velocity=beads.momentum()[up] / mesh.comm.allreduce(beads.mass.sum()),
+                               seconds_fluid=seconds,
                                wall_time=time.perf_counter() - start, **fe_el.stage_seconds(coupling, out))
 
 

@@ -1,4 +1,5 @@
-"""A sedimenting suspension in a fully periodic box: the paper's critical test of coupling schemes (Radl et al., section 4.2)."""
+"""A sedimenting suspension in a fully periodic box: the paper's critical test of coupling schemes (Radl et al., section
+4.2)."""
 import argparse
 import logging
 import time
@@ -26,11 +27,13 @@ def arguments():
     p.add_argument("--dt-star", type=float, default=1.0, help="time step in fluid relaxation times of eq. 10 (Stokes)")
     p.add_argument("--smoothing-length", type=float, help="in particle diameters; absent: no smoothing")
     p.add_argument("--drag", default="beetstra", help="name of the drag law")
-    p.add_argument("--mapping", default="satellite_points", help="name of the mapping: " + ", ".join(sorted(fe_el.mapping.MAPPINGS)))
+    p.add_argument("--mapping", default="satellite_points", help="name of the mapping: " +
+                   ", ".join(sorted(fe_el.mapping.MAPPINGS)))
     p.add_argument("--fluid-velocity", default="cell", help="at the particle: cell or linear")
     p.add_argument("--fluid-steps", type=int, default=1, help="steps of the fluid in one")
     p.add_argument("--positions", default="start", help="of the particles that are mapped: start or middle of the step")
-    p.add_argument("--correct-momentum", action="store_true", help="take the drift of total momentum back by a force, as the paper does")
+    p.add_argument("--correct-momentum", action="store_true",
+                   help="take the drift of total momentum back by a force, as the paper does")
     p.add_argument("--contacts", action="store_true", help="resolve contacts")
     p.add_argument("--coarse-graining", type=float, default=1.0, help="parcel diameter over particle diameter")
     p.add_argument("--end-time", type=float, default=0.5, help="simulated time [s]")
@@ -54,7 +57,8 @@ class Suspension:
         mixture = self.solid * particle_density + (1 - self.solid) * GAS_DENSITY
         self.balance = -mixture * down
         law = fe_el.Drag(drag)
-        self.slip = fe_el.time_scales.homogeneous_slip(diameter, particle_density, GAS_DENSITY, GAS_VISCOSITY, self.solid, law.law)
+        self.slip = fe_el.time_scales.homogeneous_slip(diameter, particle_density, GAS_DENSITY, GAS_VISCOSITY, self.solid,
+                                                       law.law)
         self.air = fe_el.VolumeAveragedNavierStokes(self.mesh, None, GAS_DENSITY, GAS_VISCOSITY, down, tolerance,
                                                     mean_pressure_gradient=self.balance)
         self.beads = fe_el.Particles(self.mesh, particle_density, down)
@@ -89,7 +93,8 @@ class Suspension:
         return self.fluid_momentum() + self.beads.momentum()
 
     def correct_momentum(self, first, dt):
-        """Make the mean pressure gradient of the next step take back what momentum drifted; returns that force over the weight."""
+        """Make the mean pressure gradient of the next step take back what momentum drifted; returns that force over the
+        weight."""
         drift, volume = self.momentum() - first, self.air.comm.allreduce(self.air.volume.sum())
         gradient = self.balance - drift / (volume * dt)
         self.air.mean_pressure_gradient[:] = self.coupling.pressure_force.mean[:] = gradient
@@ -141,7 +146,8 @@ def main(diameter=150e-6, particle_density=1500.0, solid_fraction=0.1, box=(48.0
     beads, comm = scene.beads, scene.beads.comm
     tau_f = float(fe_el.time_scales.fluid_relaxation_time(diameter, GAS_DENSITY, GAS_VISCOSITY, scene.solid))
     dt = dt_star * tau_f
-    out = fe_el.ParaViewOutput(output, beads, [scene.air.velocity, scene.air.pressure, scene.coupling.fields[0]], output_every)
+    out = fe_el.ParaViewOutput(output, beads, [scene.air.velocity, scene.air.pressure, scene.coupling.fields[0]],
+                               output_every)
     scene.coupling.to_fluid(dt)  # the void fraction that the first momentum is taken with
     rows, stable, start, first = [], True, time.perf_counter(), scene.momentum()
     for now in fe_el.time_steps(dt, max(end_time, dt), progress=progress):
@@ -167,10 +173,13 @@ def main(diameter=150e-6, particle_density=1500.0, solid_fraction=0.1, box=(48.0
     law = scene.coupling.drag.law
     re = GAS_DENSITY * (1 - scene.solid) * scene.slip * diameter / GAS_VISCOSITY
     numbers = {
-        "particles": beads.total_number, "cells": comm.allreduce(scene.air.num_cells), "coupling": coupling, "mapping": mapping,
-        "fluid_steps": fluid_steps, "positions": positions, "dt_star": dt_star, "time_step": dt, "end_time": end_time, "steps": len(rows), "slip_velocity": slip,
+        "particles": beads.total_number, "cells": comm.allreduce(scene.air.num_cells), "coupling": coupling,
+               "mapping": mapping,
+        "fluid_steps": fluid_steps, "positions": positions, "dt_star": dt_star, "time_step": dt, "end_time": end_time,
+               "steps": len(rows), "slip_velocity": slip,
         "slip_velocity_error": error, "homogeneous_slip": scene.slip, "drift_over_weight": drift, "stable": stable,
-        **({"correction_over_weight": correction[0], "correction_over_weight_error": correction[1]} if correct_momentum else {}),
+        **({"correction_over_weight": correction[0], "correction_over_weight_error": correction[1]} if correct_momentum
+           else {}),
         "tau_f": tau_f, "tau_f_drag_law": float(fe_el.time_scales.fluid_relaxation_time(
             diameter, GAS_DENSITY, GAS_VISCOSITY, scene.solid, law, re)),
         "tau_p": float(fe_el.time_scales.particle_relaxation_time(diameter, particle_density, GAS_VISCOSITY)),

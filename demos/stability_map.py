@@ -54,7 +54,8 @@ def run(axis, value, start, steps, cells, time_order=2):
     forced = scene.case["motion"] or scene.case["swirl"]
     bounded = not reason and bool(late < 2 * e[:len(e) // 2 + 1].max() if forced else e.max() <= 1 + ROUNDING)
     return {"axis": axis + ("" if time_order == 2 else " (first order)"), "start": start,
-            "value": least_angle(scene.air) if axis == "slivers" else value, "steps": len(e) - 1, "max_energy": float(e.max()),
+            "value": least_angle(scene.air) if axis == "slivers" else value, "steps": len(e) - 1,
+            "max_energy": float(e.max()),
             "end_energy": float(e[-1]), "largest_rise": float(np.max(np.diff(e) / floor, initial=-1.0)),
             "growth_from_least": float(np.max(e[1:] / np.minimum.accumulate(floor), initial=0.0)), "bounded": bounded,
             "fallbacks": scene.fallbacks(), "seconds": time.perf_counter() - tick, "reason": reason}
@@ -89,7 +90,8 @@ def table(output, rows):
         writer = csv.DictWriter(file, rows[0].keys())
         writer.writeheader()
         writer.writerows(rows)
-    print(f"{'axis':<29} {'start':<6} {'value':>14} {'steps':>5} {'max energy':>12} {'end energy':>10} {'rise':>8} {'growth':>8} "
+    print(f"{'axis':<29} {'start':<6} {'value':>14} {'steps':>5} {'max energy':>12} {'end energy':>10} {'rise':>8} "
+          f"{'growth':>8} "
           f"{'bounded':>7} {'fallbacks':>9} {'seconds':>7} reason")
     for r in rows:
         value = r["value"] if isinstance(r["value"], str) else f"{r['value']:.3g}"
@@ -111,7 +113,8 @@ def picture(output, rows):
         mine = [r for r in rows if r["axis"].split(" (")[0] == name]
         for r in mine:
             mark = "s" if "(" in r["axis"] else "o" if r["start"] == "rough" else "D"
-            panel.plot(r["value"], r["max_energy"], mark if r["bounded"] else "x", mfc="none", ms={"s": 9, "D": 4}.get(mark, 6),
+            panel.plot(r["value"], r["max_energy"], mark if r["bounded"] else "x", mfc="none",
+                       ms={"s": 9, "D": 4}.get(mark, 6),
                        color="tab:green" if r["bounded"] else "tab:red")
         if mine[0]["value"] == 0:
             panel.set_xscale("symlog", linthresh=1e-3)

@@ -7,7 +7,8 @@ import fe_el
 
 PI, PERIOD = np.pi, 20  # steps in which a redrawn void fraction goes up and down
 DEFAULTS = {"reynolds": 1e4, "courant": 0.5, "drag_number": 0.0, "drag": None, "redraw": False, "void": None, "motion": None,
-            "density": 1.0, "stretch": 1.0, "angle": None, "swirl": None, "spread": 1.0, "stabilisation": None}  # box 1 m, 1 m/s
+            # box 1 m, 1 m/s
+            "density": 1.0, "stretch": 1.0, "angle": None, "swirl": None, "spread": 1.0, "stabilisation": None}
 VOIDS, DRAGS = (0.9, 0.7, 0.5, 0.36, 0.1, 0.01), (0.0, 1e-2, 1.0, 1e2, 1e4, 1e6, 1e8)
 TOGETHER = {"drag, void": {"drag_number": 1e8, "void": 0.36}, "slivers, void": {"angle": 0.1, "void": 0.36},
             "slivers, drag": {"angle": 0.1, "drag_number": 1e8}, "stretch, drag": {"stretch": 100.0, "drag_number": 1e8}}
@@ -21,7 +22,8 @@ AXES = {  # axis: label, values, the parameters of a value
     "void_carried": ("lowest void fraction, carried", VOIDS, lambda v: {"void": v, "motion": "carried"}),
     "density": ("fluid density [kg/m^3]", tuple(10.0 ** k for k in range(-3, 5)), lambda v: {"density": v, "drag": 1e3}),
     "stretch": ("aspect ratio of the cells", (1.0, 3.0, 10.0, 30.0, 100.0, 1000.0), lambda v: {"stretch": v}),
-    "slivers": ("least angle [degrees], Re 1e6", (30.0, 10.0, 3.0, 1.0, 0.3, 0.1, 0.01), lambda v: {"angle": v, "reynolds": 1e6}),
+    "slivers": ("least angle [degrees], Re 1e6", (30.0, 10.0, 3.0, 1.0, 0.3, 0.1, 0.01),
+                lambda v: {"angle": v, "reynolds": 1e6}),
     "outlet": ("swirl / stream at an outlet, Re 1e6", (0.5, 1.0, 2.0, 4.0, 8.0), lambda v: {"swirl": v, "reynolds": 1e6}),
     "step_spread": ("spread of random time steps", (1.0, 10.0, 100.0, 1e3, 1e4), lambda v: {"spread": v}),
     "stabilisation": ("stabilisation, Re 1e7", ("none", "Streamline", "Upwind"),
@@ -31,7 +33,8 @@ AXES = {  # axis: label, values, the parameters of a value
 
 
 def sliver_box(cells, angle, seed=1):
-    """Unit box with every inner vertex moved; half the squares have their centre near a side, for this least angle [degrees]."""
+    """Unit box with every inner vertex moved; half the squares have their centre near a side, for this least angle
+    [degrees]."""
     mesh, tags = fe_el.box((1.0, 1.0), (cells, cells))
     rng, x = np.random.default_rng(seed), mesh.geometry.x
     grid = np.stack(np.meshgrid(*2 * [np.arange(cells + 1.0)], indexing="ij"), 2) / cells
@@ -117,13 +120,15 @@ class Scene:
         return vortex + self.rng.normal(0, self.roughness, (len(x), 2)) + ((1.0, 0.0) if c["motion"] == "carried" else 0.0)
 
     def draw(self, t, step):
-        """Void fraction of a time [s]: random in cells, oscillating in each of them, or a pattern that the stream carries."""
+        """Void fraction of a time [s]: random in cells, oscillating in each of them, or a pattern that the stream
+        carries."""
         x, motion, low = self.air.corner.mean(1), self.case["motion"], self.case["void"] or 1.0
         wave = 2.0 * self.random - 1
         if motion == "redrawn":
             wave = np.sin(2 * PI * step / PERIOD + self.phase)
         elif motion == "carried":
-            wave = sum(np.sin(2 * PI * ((k + 1) * (x[:, 0] - t) + (k % 3) * x[:, 1] + q)) for k, q in enumerate(self.modes)) / 6
+            wave = sum(np.sin(2 * PI * ((k + 1) * (x[:, 0] - t) + (k % 3) * x[:, 1] + q)) for k,
+                       q in enumerate(self.modes)) / 6
         if motion:  # the box is closed: as much void everywhere together at all times
             wave = wave - self.air.comm.allreduce(self.air.volume @ wave) / self.air.comm.allreduce(self.air.volume.sum())
             wave = wave / max(1.0, -self.air.comm.allreduce(wave.min(initial=0.0), op=MPI.MIN))

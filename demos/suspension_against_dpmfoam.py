@@ -1,7 +1,8 @@
-"""Slip velocity and momentum drift of a sedimenting suspension of parcels, at small and large steps, beside OpenFOAM's DPMFoam.
+"""Slip velocity and momentum drift of a sedimenting suspension of parcels, at small and large steps, beside OpenFOAM's
+DPMFoam.
 
-Both codes start from the same parcels in the same periodic box, at the velocities of a uniform suspension. Forces and elements
-differ a little between the codes, so each step is compared with the smallest of the same code and the same start.
+Both codes start from the same parcels in the same periodic box, at the velocities of a uniform suspension. Forces and
+elements differ a little between the codes, so each step is compared with the smallest of the same code and the same start.
 """
 import argparse
 import csv
@@ -25,7 +26,8 @@ from sedimenting_suspension import GAS_DENSITY, GAS_VISCOSITY, GRAVITY
 matplotlib.use("Agg")
 DIAMETER, DENSITY, PERMEABILITY = 150e-6, 1500.0, 4e-7 * np.pi
 PEER = {"dpmfoam_explicit": "explicit", "dpmfoam_semi_implicit": "semiImplicit"}
-RUNS = ("conservative:0.1,1,4,8,17.5", "sub_cycled:0.1,1,4,8,17.5", "implicit:0.1,4", "split:0.1,4", "dpmfoam_explicit:0.1,0.4",
+RUNS = ("conservative:0.1,1,4,8,17.5", "sub_cycled:0.1,1,4,8,17.5", "implicit:0.1,4", "split:0.1,4",
+        "dpmfoam_explicit:0.1,0.4",
         "dpmfoam_semi_implicit:0.1,1,4,8,17.5")
 
 
@@ -33,13 +35,16 @@ def arguments():
     """Command line of the demo."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     p.add_argument("--runs", nargs="+", default=list(RUNS),
-                   help="SCHEME:STEP,STEP,..., the first step is the reference; steps in fluid relaxation times of eq. 10; schemes of "
+                   help="SCHEME:STEP,STEP,..., the first step is the reference; steps in fluid relaxation times of eq. 10; "
+                        "schemes of "
                         "fe_el, sub_cycled (conservative, four steps of the fluid in one), " + ", ".join(PEER))
     p.add_argument("--box", type=float, nargs=3, default=(80.0, 80.0, 160.0), help="box in particle diameters")
-    p.add_argument("--cells", type=int, nargs=3, default=(5, 5, 10), help="cubes per direction in fe_el, six tetrahedra each")
+    p.add_argument("--cells", type=int, nargs=3, default=(5, 5, 10),
+                   help="cubes per direction in fe_el, six tetrahedra each")
     p.add_argument("--peer-cells", type=int, nargs=3, default=(8, 8, 16), help="cubes per direction in DPMFoam")
     p.add_argument("--coarse-graining", type=float, default=3.0, help="parcel diameter over particle diameter")
-    p.add_argument("--end-time", type=float, default=0.15, help="simulated time of every run [s]; the second half is averaged")
+    p.add_argument("--end-time", type=float, default=0.15,
+                   help="simulated time of every run [s]; the second half is averaged")
     p.add_argument("--seeds", type=int, default=3, help="realisations")
     p.add_argument("--output", default="out/suspension_against_dpmfoam", help="folder for results")
     return p
@@ -48,8 +53,8 @@ def arguments():
 def peer_history(scheme, dt_star, scene, cells, coarse_graining, end_time, folder):
     """As ``slip_history``, of DPMFoam with the parcels of a suspension that was not advanced.
 
-    DPMFoam has one gravity for both phases. Here it carries the gas upwards and the paramagnetic force on a uniform field pulls the
-    particles down with their weight less buoyancy, so that the momentum of both together stays that of the start.
+    DPMFoam has one gravity for both phases. Here it carries the gas upwards and the paramagnetic force on a uniform field
+    pulls the particles down with their weight less buoyancy, so that the momentum of both together stays that of the start.
     """
     beads, lengths = scene.beads, np.ptp(scene.mesh.geometry.x, axis=0)
     cyclic = "type cyclic;"
@@ -91,7 +96,8 @@ def rows_of(scheme, steps, runs):
     return rows
 
 
-def main(runs=RUNS, box=(80.0, 80.0, 160.0), cells=(5, 5, 10), peer_cells=(8, 8, 16), coarse_graining=3.0, end_time=0.15, seeds=3,
+def main(runs=RUNS, box=(80.0, 80.0, 160.0), cells=(5, 5, 10), peer_cells=(8, 8, 16), coarse_graining=3.0, end_time=0.15,
+         seeds=3,
          output="out/suspension_against_dpmfoam", progress=True):
     """Run everything and return the summary; on one rank."""
     logging.getLogger().setLevel(logging.WARNING)
@@ -118,7 +124,8 @@ def main(runs=RUNS, box=(80.0, 80.0, 160.0), cells=(5, 5, 10), peer_cells=(8, 8,
                 for step in steps:
                     scene = fresh(scheme, seed)
                     done[step].append(slip_history(scene, step, end_time) if scheme not in PEER else peer_history(
-                        PEER[scheme], step, scene, peer_cells, coarse_graining, end_time, Path(output).resolve() / f"{scheme}_{step:g}_{seed}"))
+                        PEER[scheme], step, scene, peer_cells, coarse_graining, end_time,
+                        Path(output).resolve() / f"{scheme}_{step:g}_{seed}"))
                     bar.update()
             rows += rows_of(scheme, steps, done)
     table(output, rows)
@@ -137,12 +144,14 @@ def table(output, rows):
     for r in rows:
         print(f"{r['scheme']:<22} {r['dt_star']:6g}  " + (
             f"{r['slip']:.3f} +- {r['slip_standard_error']:.3f}    {r['against_small_step']:+7.1%} +- "
-            f"{r['against_small_step_standard_error']:.1%}    {r['drift_over_weight']:9.1e} {r['seconds']:8.2f}" if r["stable"] else "unstable"))
+            f"{r['against_small_step_standard_error']:.1%}    {r['drift_over_weight']:9.1e} {r['seconds']:8.2f}"
+                                                          if r["stable"] else "unstable"))
     figure, axes = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
     for scheme in dict.fromkeys(r["scheme"] for r in rows):
         good = [r for r in rows if r["scheme"] == scheme and r["stable"]]
         axes[0].errorbar([r["dt_star"] for r in good], [100 * r["against_small_step"] for r in good],
-                         [100 * np.nan_to_num(r["against_small_step_standard_error"]) for r in good], marker="o", capsize=3, label=scheme)
+                         [100 * np.nan_to_num(r["against_small_step_standard_error"]) for r in good], marker="o", capsize=3,
+                         label=scheme)
         axes[1].loglog([r["dt_star"] for r in good], [r["drift_over_weight"] for r in good], marker="o", label=scheme)
     axes[0].set(xscale="log", xlabel="step / tau_f", ylabel="slip against small step [%]")
     axes[1].set(xlabel="step / tau_f", ylabel="momentum drift / weight")

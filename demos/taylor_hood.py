@@ -4,7 +4,8 @@ import ufl
 from dolfinx import fem, geometry
 
 DIRECT = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
-CRANK_NICOLSON, FIRST_STEP, EULER = (0.5, 1.5, -0.5), (0.5, 1.0, 0.0), (1.0, 1.0, 0.0)  # theta, and w as parts of u_1 and u_2
+# theta, and w as parts of u_1 and u_2
+CRANK_NICOLSON, FIRST_STEP, EULER = (0.5, 1.5, -0.5), (0.5, 1.0, 0.0), (1.0, 1.0, 0.0)
 
 
 class TaylorHood:
@@ -12,11 +13,11 @@ class TaylorHood:
 
         rho ((u - u_1) / dt + w . grad m + (div w / 2) m) + grad p - mu lap m - rho gamma grad div u = 0,    div u = 0
 
-    u_1 and u_2 are the velocities one and two steps ago and m = theta u + (1 - theta) u_1. Crank-Nicolson with the convecting
-    velocity w = (3 u_1 - u_2) / 2 of the middle of the step, or implicit Euler with w = u_1. Half of div w keeps the energy
-    from growing at any step (Temam 1968); gamma makes the error of the pressure small in the velocity (Olshanskii 2002).
-    Explicit convection is that of u_1 and u_2 extrapolated in the same way; its steps are bounded by the Courant number, but
-    the matrix stays the same and is factorised once.
+    u_1 and u_2 are the velocities one and two steps ago and m = theta u + (1 - theta) u_1. Crank-Nicolson with the
+    convecting velocity w = (3 u_1 - u_2) / 2 of the middle of the step, or implicit Euler with w = u_1. Half of div w keeps
+    the energy from growing at any step (Temam 1968); gamma makes the error of the pressure small in the velocity (Olshanskii
+    2002). Explicit convection is that of u_1 and u_2 extrapolated in the same way; its steps are bounded by the Courant
+    number, but the matrix stays the same and is factorised once.
 
     Args:
         mesh: dolfinx mesh.
@@ -41,7 +42,8 @@ class TaylorHood:
         m = theta * u + (1 - theta) * u1
         by = lambda w, u: ufl.dot(w, ufl.nabla_grad(u)) + ufl.div(w) / 2 * u
         convection = part_1 * by(u1, u1) + part_2 * by(u2, u2) if explicit else by(part_1 * u1 + part_2 * u2, m)
-        form = (rho * ufl.inner((u - u1) / self.dt + convection, v) + mu * ufl.inner(ufl.grad(m), ufl.grad(v)) - p * ufl.div(v)
+        form = (rho * ufl.inner((u - u1) / self.dt + convection,
+                                v) + mu * ufl.inner(ufl.grad(m), ufl.grad(v)) - p * ufl.div(v)
                 + rho * gamma * ufl.div(u) * ufl.div(v) - q * ufl.div(u)) * ufl.dx
         a, L = ufl.system(form)
         self.problem = fem.petsc.LinearProblem(a, L, self._conditions(space, walls), self.new, petsc_options=DIRECT)

@@ -37,9 +37,11 @@ def curves(solid_fraction, diameters, particle_density, fluid_density, viscosity
     return np.array(rows).T
 
 
-def main(particle_density=1500.0, fluid_density=1.3, viscosity=1.8e-5, solid_fractions=(0.001, 0.1), cell_size=3.0, drag="beetstra",
+def main(particle_density=1500.0, fluid_density=1.3, viscosity=1.8e-5, solid_fractions=(0.001, 0.1), cell_size=3.0,
+         drag="beetstra",
          output="out/time_scales", progress=True):
-    """Draw the time scales and return the summary: below which diameter tau_p and tau_f are shorter than the Courant time."""
+    """Draw the time scales and return the summary: below which diameter tau_p and tau_f are shorter than the Courant
+    time."""
     law, diameters = fe_el.Drag(drag).law, np.logspace(-6, -2.5, 200)
     numbers = {"particle_density": particle_density, "fluid_density": fluid_density, "viscosity": viscosity}
     drawn = []
@@ -48,7 +50,8 @@ def main(particle_density=1500.0, fluid_density=1.3, viscosity=1.8e-5, solid_fra
         drawn.append((s, tau_p, tau_f, tau_c))
         numbers[f"largest_diameter_limited_by_tau_p_at_{s:g}"] = largest(diameters, tau_p < tau_c)
         numbers[f"largest_diameter_limited_by_tau_f_at_{s:g}"] = largest(diameters, tau_f < tau_c)
-        numbers[f"time_step_at_20_um_at_{s:g}"] = float(np.interp(20e-6, diameters, np.minimum(np.minimum(tau_p, tau_f), tau_c)))
+        numbers[f"time_step_at_20_um_at_{s:g}"] = float(np.interp(20e-6, diameters, np.minimum(np.minimum(tau_p, tau_f),
+                                                                                               tau_c)))
     numbers["advice"] = time_scales.advice(150e-6, particle_density, fluid_density, viscosity, solid_fractions[-1], 1.0,
                                                  cell_size * 150e-6, law).sentence
     if MPI.COMM_WORLD.rank == 0:

@@ -1,7 +1,7 @@
 """Arrays without reference counts, for compiled loops that hand many arrays on.
 
-Numba counts references to every array that is passed on or cut, with atomic instructions: a few hundred of them cost microseconds.
-What is borrowed for the duration of a call needs no count.
+Numba counts references to every array that is passed on or cut, with atomic instructions: a few hundred of them cost
+microseconds. What is borrowed for the duration of a call needs no count.
 """
 from numba import types
 from numba.core import cgutils

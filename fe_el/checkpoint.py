@@ -88,7 +88,8 @@ def load_checkpoint(path, *parts):
     names = [f"{k}_{type(part).__name__}" for k, part in enumerate(parts)]
     saved = sorted({name for name in data if name != "numbers"}, key=lambda name: int(name.split("_")[0]))
     if names != saved:
-        raise ValueError(f"The checkpoint {path} holds {[s.split('_')[1] for s in saved]}; load it into these parts in this order, "
+        raise ValueError(f"The checkpoint {path} holds {[s.split('_')[1] for s in saved]}; load it into these parts in this "
+                         f"order, "
                          f"not {[n.split('_')[1] for n in names]}.")
     for name, part in zip(names, parts):
         state = {block: _placed(comm, part, block, rows) for block, rows in data[name].items()}
@@ -122,7 +123,8 @@ def _placed(comm, part, block, rows):
     index, found = nearest(rows["points"], points, period)
     total = comm.allreduce(np.array([len(points), found.sum()]))
     if total[0] != len(rows["points"]) or total[1] != total[0]:
-        raise ValueError(f"The checkpoint has {len(rows['points'])} {block}, the mesh {total[0]}, of which {total[1]} are in the same "
+        raise ValueError(f"The checkpoint has {len(rows['points'])} {block}, the mesh {total[0]}, of which {total[1]} are "
+                         f"in the same "
                          "places; load it into the mesh that it was made with.")
     return {key: a[index] for key, a in rows.items() if key != "points"}
 

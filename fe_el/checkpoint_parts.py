@@ -3,8 +3,10 @@ import json
 
 import numpy as np
 
-# A state is a dict: name -> (points, arrays). With points (rows, 3) the arrays have a row for each and find their places by these;
-# without (``None``) they are rows that the part sorts out itself. The name "same" holds numbers that are alike on every rank.
+# A state is a dict: name -> (points, arrays). With points (rows, 3) the arrays have a row for each and find their places by
+# these;
+# without (``None``) they are rows that the part sorts out itself. The name "same" holds numbers that are alike on every
+# rank.
 
 
 def particles_state(p):
@@ -108,7 +110,8 @@ def set_fluid(air, state):
             value = air.node_halo.forward(full)
         setattr(air, name, value)
     air.guess_order = int(same["guess_order"]) if "guess_order" in same else 0
-    air.time, air.dt, air.step, air._to_close = (float(same["time"]), float(same["dt"]), int(same["step"]), int(same["to_close"]))
+    air.time, air.dt, air.step, air._to_close = (float(same["time"]), float(same["dt"]), int(same["step"]),
+                                                 int(same["to_close"]))
 
 
 def scalar_state(scalar):
@@ -133,7 +136,8 @@ def set_scalar(scalar, state):
 
 def inlet_state(inlet):
     """What waits, and the state of the random numbers."""
-    return {"same": (None, {"inserted": inlet.inserted, "waiting": inlet.waiting, "next": np.nan if inlet.next is None else inlet.next,
+    return {"same": (None, {"inserted": inlet.inserted, "waiting": inlet.waiting,
+                            "next": np.nan if inlet.next is None else inlet.next,
                             "generator": json.dumps(inlet.generator.bit_generator.state)})}
 
 
@@ -146,7 +150,8 @@ def set_inlet(inlet, state):
 
 
 def nearest(points, wanted, period):
-    """Index of the point at each wanted place, and whether there is one within a millionth of the mesh; periodic boxes wrap."""
+    """Index of the point at each wanted place, and whether there is one within a millionth of the mesh; periodic boxes
+    wrap."""
     from scipy.spatial import cKDTree  # where a checkpoint is loaded, nowhere else
     if not len(points) or not len(wanted):
         return np.zeros(len(wanted), np.int64), np.zeros(len(wanted), bool)

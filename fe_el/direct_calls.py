@@ -1,6 +1,7 @@
 """Calls of compiled functions with long tuples of arrays, step after step, without a leak.
 
-Numba's dispatcher loses the text by which it recognises the type of an argument whenever that is long: 50 to 100 bytes for each
+Numba's dispatcher loses the text by which it recognises the type of an argument whenever that is long: 50 to 100 bytes for
+each
 tuple of more than four arrays, in every call.
 """
 import numpy as np
@@ -17,7 +18,8 @@ def _kind(argument):
 
 
 class Direct:
-    """A compiled function that finds its compiled version by itself once it has been called with arguments of the same kinds.
+    """A compiled function that finds its compiled version by itself once it has been called with arguments of the same
+    kinds.
 
     Args:
         dispatcher: what ``njit`` returns.

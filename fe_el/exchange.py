@@ -122,7 +122,8 @@ class Halo:
     def _find_sharing(self):
         """For each rank the entries we have in common with it, owned or not, and what to add up where. Collective."""
         size, me = self.comm.size, self.comm.rank
-        rows = [(i, np.full(len(i), me), i, np.full(len(i), rank)) for rank, i in self.send]  # here, owner, there, shared with
+        # here, owner, there, shared with
+        rows = [(i, np.full(len(i), me), i, np.full(len(i), rank)) for rank, i in self.send]
         told = [[]] * size
         for rank, i in self.send:
             told[rank] = [i] + [(other, np.intersect1d(i, j)) for other, j in self.send if other != rank]
@@ -149,7 +150,8 @@ class Halo:
 def _flat(arrays):
     """Views (entries, numbers) of arrays of one type."""
     if len({a.dtype for a in arrays}) > 1 or not all(a.flags.c_contiguous for a in arrays):
-        raise ValueError(f"Arrays of types {[str(a.dtype) for a in arrays]} cannot be exchanged at once, or one of them is not "
+        raise ValueError(f"Arrays of types {[str(a.dtype) for a in arrays]} cannot be exchanged at once, or one of them is "
+                         f"not "
                          "contiguous; give whole arrays of one type.")
     return tuple(a.reshape(len(a), math.prod(a.shape[1:])) for a in arrays)
 

@@ -9,7 +9,8 @@ _installed = []
 
 
 def end_all_ranks_on_errors(comm):
-    """From now on an uncaught exception on any rank ends the run on all ranks; once for a process, and only on several ranks.
+    """From now on an uncaught exception on any rank ends the run on all ranks; once for a process, and only on several
+    ranks.
 
     petsc4py's exit handler waits for all ranks, so an error on one would leave the others waiting for ever.
 
@@ -37,6 +38,7 @@ def _end(kind, error, trace):
             time.sleep(PATIENCE)  # rank 0 speaks for all
         else:
             where = "all ranks" if everywhere else f"rank {comm.rank}"
-            sys.stderr.write("".join(traceback.format_exception(kind, error, trace)) + f"The run ends: this error came on {where}.\n")
+            sys.stderr.write("".join(traceback.format_exception(kind, error,
+                                                                trace)) + f"The run ends: this error came on {where}.\n")
     sys.stderr.flush()
     comm.Abort(1)

@@ -230,8 +230,10 @@ def refuse_inner_facets(mesh, facet_tags, groups):
     for group in groups:
         number = mesh.comm.allreduce(int((count[facet_tags.indices[facet_tags.values == group]] > 1).sum()))
         if number:
-            raise ValueError(f"Boundary group {group} has facets between two cells ({number}, those between ranks counted by each); walls, "
-                             "inlets and outlets are outer facets. Tag outer facets alone, or cut the mesh open along the group (gmsh: "
+            raise ValueError(f"Boundary group {group} has facets between two cells ({number}, those between ranks counted "
+                             f"by each); walls, "
+                             "inlets and outlets are outer facets. Tag outer facets alone, or cut the mesh open along the "
+                             "group (gmsh: "
                              "Plugin Crack).")
 
 
@@ -253,7 +255,8 @@ def read_mesh(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None):
 
     Raises:
         FileNotFoundError: if there is no such file.
-        ValueError: for a file that gmsh cannot read, cells that are not simplices, or cells that are not in exactly one group.
+        ValueError: for a file that gmsh cannot read, cells that are not simplices, or cells that are not in exactly one
+            group.
     """
     import gmsh
     from dolfinx.io import gmshio
@@ -313,13 +316,15 @@ def _fault(gmsh, dimension):
     model, wanted = gmsh.model, {2: "Triangle 3", 3: "Tetrahedron 4"}[dimension]
     kinds = [model.mesh.getElementProperties(k)[0] for k in model.mesh.getElementTypes(dimension)]
     if any(k != wanted for k in kinds) or not kinds:
-        return (f"The mesh has cells of type {', '.join(kinds) or 'none'}; fe_el needs {wanted} (first-order simplices). Mesh again "
+        return (f"The mesh has cells of type {', '.join(kinds) or 'none'}; fe_el needs {wanted} (first-order simplices). "
+                f"Mesh again "
                 f"in {dimension} dimensions, without Recombine and with ElementOrder 1, or give another dimension=.")
     what = {2: "Surface", 3: "Volume"}[dimension]
     for _, tag in model.getEntities(dimension):
         groups = model.getPhysicalGroupsForEntity(dimension, tag)
         if len(groups) != 1:
-            return (f"{what} {tag} is in {len(groups)} physical groups ({', '.join(map(str, groups)) or 'none'}); every {what.lower()} "
+            return (f"{what} {tag} is in {len(groups)} physical groups ({', '.join(map(str, groups)) or 'none'}); every "
+                    f"{what.lower()} "
                     f"needs exactly one (gmsh: Physical {what}).")
     if dimension == 2:
         z = np.asarray(model.mesh.getNodes()[1])[2::3]

@@ -15,7 +15,8 @@ for _name in ("MPI_Startall", "MPI_Waitall", "MPI_Allreduce"):
     llvmlite.binding.add_symbol(_name, ctypes.cast(getattr(_library, _name), ctypes.c_void_p).value)
 _start = types.ExternalFunction("MPI_Startall", types.int32(types.int32, types.voidptr))
 _wait = types.ExternalFunction("MPI_Waitall", types.int32(types.int32, types.voidptr, types.voidptr))
-_reduce = types.ExternalFunction("MPI_Allreduce", types.int32(types.voidptr, types.voidptr, types.int32, types.intp, types.intp,
+_reduce = types.ExternalFunction("MPI_Allreduce", types.int32(types.voidptr, types.voidptr, types.int32, types.intp,
+                                                              types.intp,
                                                               types.intp))
 
 

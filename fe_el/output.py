@@ -40,7 +40,8 @@ def adaptive_steps(fluid, end_time, courant=0.5, first=None, largest=np.inf, gro
         largest (float): bound of the steps, for instance from :mod:`fe_el.time_scales` [s].
 
     Raises:
-        ValueError: for numbers that are not positive, a growth below one, or if neither ``first`` nor ``largest`` is given and
+        ValueError: for numbers that are not positive, a growth below one, or if neither ``first`` nor ``largest`` is given
+            and
             the fluid is at rest.
 
     Note:
@@ -52,11 +53,13 @@ def adaptive_steps(fluid, end_time, courant=0.5, first=None, largest=np.inf, gro
     if not growth >= 1:
         raise ValueError(f"growth is {growth}; it must be at least 1.")
     time, dt = fluid.time, first
-    with tqdm(total=end_time - time, disable=not progress or fluid.comm.rank > 0, unit="s", file=sys.stderr, mininterval=1.0) as bar:
+    with tqdm(total=end_time - time, disable=not progress or fluid.comm.rank > 0, unit="s", file=sys.stderr,
+              mininterval=1.0) as bar:
         while time < end_time * (1 - 1e-12):
             rate = fluid.courant(1.0)
             wanted = min(courant / rate if rate > 0 else np.inf, largest)
-            dt = min(wanted, np.inf if dt is None else growth * dt) if time > fluid.time or fluid.step else min(wanted, dt or np.inf)
+            dt = min(wanted, np.inf if dt is None else growth * dt) if time > fluid.time or fluid.step else min(wanted,
+                                                                                                                dt or np.inf)
             if not np.isfinite(dt):
                 raise ValueError("The fluid is at rest, so its Courant number gives no step; pass first= or largest= [s].")
             left = end_time - time
@@ -79,8 +82,10 @@ def stage_seconds(*parts):
 class ParaViewOutput:
     """Writes particles and cell fields as .vtu pieces, one per rank, with .pvd collections for ParaView.
 
-    In a folder that holds a series already, frames older than the first that is written stay: a restarted run goes on with the
-    series. Used as a context (``with output: ...``) it remembers the state of every call of :meth:`write`; if the run stops with an
+    In a folder that holds a series already, frames older than the first that is written stay: a restarted run goes on with
+    the
+    series. Used as a context (``with output: ...``) it remembers the state of every call of :meth:`write`; if the run stops
+    with an
     error, it writes the last good state before the error goes on.
 
     Args:

@@ -17,7 +17,8 @@ def _wrapped_cells(lengths, cells, periodic):
     """Cells of the box by wrapped vertex numbers, and their unwrapped coordinates (cells, d+1, d)."""
     d, n = len(cells), np.array(cells)
     if d == 3:
-        box = dmesh.create_box(MPI.COMM_SELF, [np.zeros(3), np.array(lengths, float)], list(cells), dmesh.CellType.tetrahedron)
+        box = dmesh.create_box(MPI.COMM_SELF, [np.zeros(3), np.array(lengths, float)], list(cells),
+                               dmesh.CellType.tetrahedron)
     else:
         box = dmesh.create_rectangle(MPI.COMM_SELF, [np.zeros(2), np.array(lengths, float)], list(cells),
                                      dmesh.CellType.triangle, diagonal=dmesh.DiagonalType.crossed)
@@ -68,7 +69,8 @@ def periodic_box(lengths, cells, periodic=None, comm=MPI.COMM_WORLD, slices_alon
     d = len(cells)
     periodic = np.ones(d, bool) if periodic is None else np.asarray(periodic, bool)
     if periodic.shape != (d,) or (np.array(cells)[periodic] < 3).any():
-        raise ValueError(f"The box has cells {list(cells)} and periodic {periodic.tolist()}; give one truth value per direction "
+        raise ValueError(f"The box has cells {list(cells)} and periodic {periodic.tolist()}; give one truth value per "
+                         f"direction "
                          "and at least 3 cells in every periodic one.")
     numbers, cell_x = _wrapped_cells(lengths, cells, periodic)
     kind = dmesh.CellType.triangle if d == 2 else dmesh.CellType.tetrahedron

@@ -11,7 +11,8 @@ from mpi4py import MPI
 def pytest_runtest_logreport(report):
     """Under mpirun a failing rank ends all: the others would wait for it for ever."""
     if report.failed and MPI.COMM_WORLD.size > 1:
-        print(f"\nrank {MPI.COMM_WORLD.rank}: {report.nodeid} failed\n{report.longreprtext}", file=sys.__stderr__, flush=True)
+        print(f"\nrank {MPI.COMM_WORLD.rank}: {report.nodeid} failed\n{report.longreprtext}", file=sys.__stderr__,
+              flush=True)
         MPI.COMM_WORLD.Abort(1)
 
 

@@ -62,7 +62,8 @@ class Run:
 @pytest.mark.ranks
 @pytest.mark.parametrize("periodic", [False, True])
 def test_a_run_goes_on_from_a_file_as_without_a_break(folder, periodic):
-    """Saved by all ranks together, loaded by each alone: positions, spins, fluid and scalar are those of the unbroken run."""
+    """Saved by all ranks together, loaded by each alone: positions, spins, fluid and scalar are those of the unbroken
+    run."""
     whole = Run(periodic=periodic)
     whole.fill()
     whole.go(60)

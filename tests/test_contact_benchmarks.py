@@ -84,7 +84,8 @@ def test_slipping_sphere_starts_to_roll(friction):
 def oblique(angle, law, speed=3.9, d=5e-3, density=4000.0):
     """Velocity and rotation after a sphere hits a plane at ``angle`` from the normal."""
     t = np.radians(angle)
-    p, c = scene(d, density, [[0.5, 0.5, d / 2 * (1 + 1e-6)]], (speed * np.sin(t), 0, -speed * np.cos(t)), law, FLOOR, steps=150)
+    p, c = scene(d, density, [[0.5, 0.5, d / 2 * (1 + 1e-6)]], (speed * np.sin(t), 0, -speed * np.cos(t)), law, FLOOR,
+                 steps=150)
     duration = law.contact_time(p.mass[0], d / 2, speed * np.cos(t))
     for _ in range(3):
         p.advance(0.6 * duration, c)
@@ -102,7 +103,8 @@ def test_oblique_impact(reference, name, law):
         rebound = np.degrees(np.arctan2(v[0], v[2]))
         assert rebound == pytest.approx(row["value_particle_wall"], abs=0.12)
         if row["impact_angle_deg"] > 32:  # slides throughout: tan(rebound) = tan(impact) - mu (1 + e), exactly
-            assert np.tan(np.radians(rebound)) == pytest.approx(np.tan(np.radians(row["impact_angle_deg"])) - 2 * 0.092, abs=1e-3)
+            assert np.tan(np.radians(rebound)) == pytest.approx(np.tan(np.radians(row["impact_angle_deg"])) - 2 * 0.092,
+                                                                abs=1e-3)
 
 
 def test_oblique_impact_against_the_experiment(reference):

@@ -8,7 +8,8 @@ from fe_el.particles.neighbours import neighbour_pairs
 RHO, D = 2500.0, 2e-3
 
 
-def on_a_plane(law, velocity=(0, 0, 0), spin=(0, 0, 0), slope=0.0, count=1, g=9.81, wall_law=None, material=0, wall_material=0):
+def on_a_plane(law, velocity=(0, 0, 0), spin=(0, 0, 0), slope=0.0, count=1, g=9.81, wall_law=None, material=0,
+               wall_material=0):
     mesh, _ = fe_el.box((0.5, 0.1, 0.1), (5, 1, 1))
     p = fe_el.Particles(mesh, RHO, (g * np.sin(slope), 0, -g * np.cos(slope)))
     sink = RHO * np.pi / 6 * D ** 3 * g * np.cos(slope) / law.stiffness if law.kind == 0 else 0.0
@@ -228,7 +229,8 @@ def test_a_packed_column_comes_to_rest():
 
 
 def test_a_random_pile_comes_to_rest_and_does_not_creep():
-    """Rolling friction with torsion leaves nothing that could move: energy at round-off of the weight scale, positions fixed."""
+    """Rolling friction with torsion leaves nothing that could move: energy at round-off of the weight scale, positions
+    fixed."""
     mesh, tags = fe_el.box((0.02, 0.02, 0.04), (2, 2, 4))
     p = fe_el.Particles(mesh, RHO, (0, 0, -9.81))
     p.insert_on_lattice((0, 0, 0), (0.02, 0.02, 0.04), np.full(300, 2e-3), seed=2)
@@ -321,7 +323,8 @@ def test_a_sphere_pressed_through_a_wall_is_an_error():
     ("table", lambda: fe_el.LinearSpringDashpot([[1.0, 2.0], [3.0, 4.0]], 0.9, 0.1)),
     ("Poisson", lambda: fe_el.HertzMindlin(1e7, 0.7, 0.9, 0.1)), ("Young", lambda: fe_el.HertzMindlin(-1.0, 0.3, 0.9, 0.1)),
     ("another number of materials", lambda: fe_el.HertzMindlin([1e7, 1e8, 1e9], [0.3, 0.2], 0.9, 0.1)),
-    ("rolling", lambda: fe_el.RollingFriction(-0.1)), ("cohesion", lambda: fe_el.LinearSpringDashpot(1.0, 0.9, 0.1, cohesion=-1)),
+    ("rolling", lambda: fe_el.RollingFriction(-0.1)), ("cohesion", lambda: fe_el.LinearSpringDashpot(1.0, 0.9, 0.1,
+                                                                                                     cohesion=-1)),
     ("tangential damping", lambda: fe_el.LinearSpringDashpot(1.0, 0.9, 0.1, 0.3, 2.0)),
     ("tangential stiffness", lambda: fe_el.LinearSpringDashpot(1.0, 0.9, 0.1, 3.0)),
     ("contact law", lambda: fe_el.ArrayLaw("law", 1.0)), ("contact time", lambda: fe_el.ArrayLaw(abs, -1.0)),

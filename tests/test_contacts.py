@@ -91,7 +91,8 @@ def test_contact_law_rejects_impossible_numbers():
 @pytest.mark.ranks
 @pytest.mark.parametrize("skin", [None, 3e-4])
 def test_no_contact_is_missed_among_slow_and_fast_beads_of_many_sizes(skin):
-    """Beads in a periodic box over a floor, some fast, under a plane that comes down: all overlaps are among what may touch."""
+    """Beads in a periodic box over a floor, some fast, under a plane that comes down: all overlaps are among what may
+    touch."""
     period = np.array([0.03, 0.03, np.inf])
     mesh, tags = fe_el.periodic_box((0.03, 0.03, 0.04), (3, 3, 4), (True, True, False))
     rng = np.random.default_rng(3)
@@ -107,7 +108,8 @@ def test_no_contact_is_missed_among_slow_and_fast_beads_of_many_sizes(skin):
         beads.advance(7 * h, contacts)
         lists = contacts.lists
         near, floor = lists.listed[:lists.near[1]], lists.wall_listed[:lists.near[2]]
-        mine = [lists.ids[a] for a in (lists.first[near], lists.second[near], lists.wall_particle[floor], lists.shape_particle)]
+        mine = [lists.ids[a] for a in (lists.first[near], lists.second[near], lists.wall_particle[floor],
+                                       lists.shape_particle)]
         first, second, floor, top = (np.concatenate(a) for a in zip(*gather(mine)))
         ids, x, r = (np.concatenate(a) for a in zip(*gather((beads.id, beads.position, beads.diameter / 2))))
         apart = x[:, None] - x

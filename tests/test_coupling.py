@@ -41,7 +41,8 @@ def fluidised(seed=1, steps=20, order=None, comm=MPI.COMM_WORLD):
     d = np.repeat([1e-3, 2e-3], [600, 300])
     rng = np.random.default_rng(seed)
     x = fe_el.particles.insertion.lattice_positions((3e-4, 2e-4, 1e-4), (0.0193, 0.0192, 0.055), rng.permutation(d), seed)
-    order = np.arange(900) if order is None else order  # no bead touches a wall at the start: rounding would decide on contact
+    # no bead touches a wall at the start: rounding would decide on contact
+    order = np.arange(900) if order is None else order
     beads.insert_at(x[order], np.random.default_rng(seed).permutation(d)[order])
     contacts = fe_el.Contacts(beads, fe_el.LinearSpringDashpot(500.0, 0.9, 0.1), walls=(tags, (1, 2, 3, 4, 5)))
     coupling = fe_el.Coupling(beads, air.velocity, air.pressure, 1.2, 1.8e-5,
@@ -83,7 +84,8 @@ def test_result_does_not_depend_on_ranks_or_order():
 
 @pytest.mark.ranks
 def test_a_sphere_falls_as_the_ordinary_differential_equation_says():
-    """One-way drag of Schiller and Naumann in a fluid at rest, with buoyancy: velocity and height against a fine integration."""
+    """One-way drag of Schiller and Naumann in a fluid at rest, with buoyancy: velocity and height against a fine
+    integration."""
     from scipy.integrate import solve_ivp
     d, rho_p, rho, mu, g = 2e-4, 2500.0, 1000.0, 1e-3, 9.81
     mesh, _ = fe_el.box((0.01, 0.01, 0.05), (2, 2, 10))
@@ -106,7 +108,8 @@ def test_a_sphere_falls_as_the_ordinary_differential_equation_says():
 
 
 def test_a_dry_bed_only_loses_energy():
-    """Beads that settle: kinetic plus potential energy never grows from one record to the next, nothing of a fluid exists."""
+    """Beads that settle: kinetic plus potential energy never grows from one record to the next, nothing of a fluid
+    exists."""
     mesh, tags = fe_el.box((0.02, 0.02, 0.04), (2, 2, 4))
     p = fe_el.Particles(mesh, 2500.0, (0, 0, -9.81))
     p.insert_on_lattice((0, 0, 0), (0.02, 0.02, 0.04), np.full(300, 2e-3), seed=2)

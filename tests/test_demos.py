@@ -123,7 +123,8 @@ def test_dry_bed_imports_no_fluid(tmp_path_factory):
 
 
 @pytest.mark.ranks
-@pytest.mark.parametrize("options", [{}, {"contacts": True}, {"smoothing_length": 3.0, "mapping": "hat", "fluid_velocity": "linear"},
+@pytest.mark.parametrize("options", [{}, {"contacts": True}, {"smoothing_length": 3.0, "mapping": "hat",
+                                                              "fluid_velocity": "linear"},
                                      {"coarse_graining": 3.0, "box": (48.0,) * 3}])
 def test_sedimenting_suspension(folder, options):
     """The ledger of the small demo, and a slip near that of the uniform suspension so early on."""
@@ -145,7 +146,8 @@ def test_unstable_explicit_run_says_so(folder):
 
 
 def test_time_scales_of_the_papers_figure(folder):
-    """Solid fraction 0.1: tau_f limits below about 200 um; 0.001: relaxation below about 20 um; 20 um needs 1e-6 to 1e-5 s."""
+    """Solid fraction 0.1: tau_f limits below about 200 um; 0.001: relaxation below about 20 um; 20 um needs 1e-6 to 1e-5
+    s."""
     summary = time_scales.main(output=folder)
     assert summary["largest_diameter_limited_by_tau_f_at_0.1"] == pytest.approx(200e-6, rel=0.1)
     assert summary["largest_diameter_limited_by_tau_p_at_0.001"] == pytest.approx(18e-6, rel=0.3)
@@ -233,10 +235,12 @@ def test_fluid_error(folder, monkeypatch, capfd):
 def test_cases_for_ico_foam_are_complete(folder):
     """All files of a case, with its mesh, patches and step."""
     from pathlib import Path
-    ico_foam.write_case(folder + "/case", (1, 1, 1), (2, 3, 4), {"walls": ("wall", "", "x- x+ y- y+ z- z+", "type noSlip;", "type zeroGradient;")},
+    ico_foam.write_case(folder + "/case", (1, 1, 1), (2, 3, 4), {"walls": ("wall", "", "x- x+ y- y+ z- z+", "type noSlip;",
+                                                                           "type zeroGradient;")},
                         1e-3, 0.25, 8, ico_foam.vectors([(1.0, 2.0)]))
     text = {p.name: p.read_text() for p in Path(folder + "/case").rglob("*") if p.is_file()}
-    assert set(text) == {"blockMeshDict", "controlDict", "fvSchemes", "fvSolution", "decomposeParDict", "transportProperties", "U", "p"}
+    assert set(text) == {"blockMeshDict", "controlDict", "fvSchemes", "fvSolution", "decomposeParDict",
+                         "transportProperties", "U", "p"}
     assert "(2 3 4)" in text["blockMeshDict"] and "endTime 2;" in text["controlDict"] and "(1 2 0)" in text["U"]
 
 
@@ -258,9 +262,11 @@ def test_contacts_against_peers_without_peers(folder, monkeypatch, capfd):
 
 
 def test_suspension_against_dpmfoam_without_it(folder, monkeypatch, capfd):
-    """Without DPMFoam it names the package and compares fe_el's schemes alone; momentum is kept; an unknown scheme is named."""
+    """Without DPMFoam it names the package and compares fe_el's schemes alone; momentum is kept; an unknown scheme is
+    named."""
     monkeypatch.setattr(suspension_against_dpmfoam.dpm_foam, "installed", lambda: False)
-    small = {"box": (24.0,) * 3, "cells": (3,) * 3, "coarse_graining": 2.0, "end_time": 0.01, "seeds": 2, "output": folder, "progress": False}
+    small = {"box": (24.0,) * 3, "cells": (3,) * 3, "coarse_graining": 2.0, "end_time": 0.01, "seeds": 2, "output": folder,
+             "progress": False}
     summary = suspension_against_dpmfoam.main(["conservative:0.5,1", "dpmfoam_explicit:0.1"], **small)
     assert "apt-get install openfoam" in capfd.readouterr().out and not any("dpmfoam" in key for key in summary)
     assert summary["drift_over_weight_conservative_1"] < 1e-12 and summary["against_small_step_conservative_0.5"] == 0
@@ -294,18 +300,22 @@ def test_cases_for_dpm_foam_and_its_log(folder, monkeypatch):
     position = np.array([[1e-3, 2e-3, 3e-3], [1e-2, 5e-3, 4e-3]])
     bed_against_dpmfoam.write_peer(folder + "/bed", position, np.array([1.5e-3, 2.5e-3]), 1.3, 0.2, 1e-4, 5, 0.005, 20)
     text = {p.name: p.read_text() for p in Path(folder + "/bed").rglob("*") if p.is_file()}
-    assert set(text) == {"blockMeshDict", "controlDict", "fvSchemes", "fvSolution", "g", "transportProperties", "turbulenceProperties.air",
+    assert set(text) == {"blockMeshDict", "controlDict", "fvSchemes", "fvSolution", "g", "transportProperties",
+                         "turbulenceProperties.air",
                          "kinematicCloudProperties", "small", "large", "U.air", "p", "HdotGradH"}
-    assert "(6 3 90)" in text["blockMeshDict"] and "(0.01 0.005 0.004)" in text["large"] and "endTime 0.0005;" in text["controlDict"]
+    assert "(6 3 90)" in text["blockMeshDict"] and "(0.01 0.005 0.004)" in text["large"] \
+        and "endTime 0.0005;" in text["controlDict"]
     assert "value 0.0025;" in text["kinematicCloudProperties"] and "(0 0 -9.81)" in text["g"]
     scene = error_against_run_time.suspension("conservative", (24.0,) * 3, (3,) * 3, 1, coarse_graining=2.0)
     monkeypatch.setattr(suspension_against_dpmfoam.dpm_foam, "call", lambda command, where: "")
     (Path(folder) / "DPMFoam").write_text(f"#!/bin/sh\nprintf '%s' '{PEER_LOG}'\nmkdir -p postProcessing/velocity/0\n"
-                                          "printf '# Time\\n1 (0 0 0.25)\\n' > postProcessing/velocity/0/volFieldValue.dat\n")
+                                          "printf '# Time\\n1 (0 0 0.25)\\n' > "
+                                          "postProcessing/velocity/0/volFieldValue.dat\n")
     (Path(folder) / "DPMFoam").chmod(0o755)
     import os
     monkeypatch.setenv("PATH", folder + os.pathsep + os.environ["PATH"])
-    history, drift, stable, _ = suspension_against_dpmfoam.peer_history("explicit", 1.0, scene, (4, 4, 4), 2.0, 1e-3, folder + "/suspension")
+    history, drift, stable, _ = suspension_against_dpmfoam.peer_history("explicit", 1.0, scene, (4, 4, 4), 2.0, 1e-3,
+                                                                        folder + "/suspension")
     solid, rho = scene.solid, suspension_against_dpmfoam.GAS_DENSITY
     assert stable and history[-1].tolist() == [1.0, 0.75]  # of 0.25 less -2 / 4
     assert drift == pytest.approx(abs(solid * 1500 * -0.5 + (1 - solid) * rho * 0.25) / (solid * 1500 * 9.81 * 1e-3))

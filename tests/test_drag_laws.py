@@ -5,7 +5,8 @@ import pytest
 import fe_el
 from fe_el import drag_laws
 
-COLUMNS = {"Beetstra2007_drag_only": drag_laws.beetstra, "WenYu_drag_only": drag_laws.wen_yu, "Ergun_drag_only": drag_laws.ergun,
+COLUMNS = {"Beetstra2007_drag_only": drag_laws.beetstra, "WenYu_drag_only": drag_laws.wen_yu,
+           "Ergun_drag_only": drag_laws.ergun,
            "Gidaspow_drag_only": drag_laws.gidaspow, "DiFelice_drag_only": drag_laws.di_felice}
 
 

@@ -95,10 +95,12 @@ def test_a_lid_may_slide_over_a_closed_box_but_nothing_may_flow_in():
 
 @pytest.mark.parametrize("scene", ["one phase", "moving void fraction"])
 def test_a_step_asks_the_system_for_no_arrays(scene):
-    """All that Python and numpy ask for in a step, added up at its largest, is less than a fifth of one array of the cells."""
+    """All that Python and numpy ask for in a step, added up at its largest, is less than a fifth of one array of the
+    cells."""
     mesh, tags = fe_el.box((0.5, 1.0), (32, 64))
     moving = scene == "moving void fraction"
-    air = fe_el.VolumeAveragedNavierStokes(mesh, tags, 1.2, 1e-3, gravity=(0, -9.81), stabilisation=fe_el.Streamline() if moving else None)
+    air = fe_el.VolumeAveragedNavierStokes(mesh, tags, 1.2, 1e-3, gravity=(0, -9.81),
+                                           stabilisation=fe_el.Streamline() if moving else None)
     air.set_velocity(3, (0.0, 1.0))
     air.set_pressure(4, 0.0)
     air.set_slip(1)
@@ -121,7 +123,8 @@ def test_a_step_asks_the_system_for_no_arrays(scene):
 
 @pytest.mark.ranks
 def test_a_nodal_matrix_is_the_sum_of_its_elements_with_and_without_fixed_nodes():
-    """Products of PETSc's matrix and of the rows of each rank against the elements; fixed nodes split off what they carry."""
+    """Products of PETSc's matrix and of the rows of each rank against the elements; fixed nodes split off what they
+    carry."""
     mesh, _ = fe_el.box((1.0, 1.0, 1.0), (3, 3, 3))
     air = fe_el.VolumeAveragedNavierStokes(mesh)
     matrix, rng, own = NodalMatrix(air.space, air.dofs), np.random.default_rng(mesh.comm.rank), air.owned_nodes
@@ -154,7 +157,8 @@ def test_a_nodal_matrix_is_the_sum_of_its_elements_with_and_without_fixed_nodes(
 
 @pytest.mark.ranks
 def test_more_fluid_than_room_for_it_is_refused_at_any_time():
-    """A ramped inlet, a mass source, and particles that displace fluid, in a closed box: a sentence at the step it happens."""
+    """A ramped inlet, a mass source, and particles that displace fluid, in a closed box: a sentence at the step it
+    happens."""
     for name in ("ramp", "mass source", "particles"):
         mesh, tags = fe_el.box((0.01, 0.01), (4, 4))
         air = fe_el.VolumeAveragedNavierStokes(mesh, tags)

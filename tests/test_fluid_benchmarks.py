@@ -27,7 +27,8 @@ def test_vortex_shedding_behind_a_cylinder(tmp_path):
 
 
 def cavity_deviation(n, dt, end, order=1, stretch=0.0):
-    """Largest deviations from Ghia et al. (1982) at Re 1000 of u and v on the middle lines; ``stretch`` draws nodes to the walls."""
+    """Largest deviations from Ghia et al. (1982) at Re 1000 of u and v on the middle lines; ``stretch`` draws nodes to the
+    walls."""
     mesh, tags = fe_el.box((1.0, 1.0), (n, n))
     mesh.geometry.x[:, :2] -= stretch * np.sin(2 * np.pi * mesh.geometry.x[:, :2]) / (2 * np.pi)
     air = fe_el.VolumeAveragedNavierStokes(mesh, tags, 1.0, 1e-3, tolerance=1e-6, time_order=order)

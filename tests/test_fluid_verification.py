@@ -56,7 +56,8 @@ def nearest_to_corners(a, weight):
     return [(np.roll([1 - 2 * a, a, a], k), weight) for k in range(3)]
 
 
-QUADRATURE = (*nearest_to_corners(0.445948490915965, 0.223381589678011), *nearest_to_corners(0.091576213509771, 0.109951743655322))
+QUADRATURE = (*nearest_to_corners(0.445948490915965, 0.223381589678011),
+              *nearest_to_corners(0.091576213509771, 0.109951743655322))
 """Barycentric points and weights on a triangle, exact to the fourth degree (Dunavant 1985)."""
 
 
@@ -112,7 +113,8 @@ def manufactured_errors(case, n, dt=0.02, steps=150, order=1):
     error, difference, weights = 0.0, [], []
     for corners, weight in QUADRATURE:
         at = np.einsum("k,ckx->cx", corners, air.corner)[:, :2].T - 1
-        error += weight * air.volume @ ((np.einsum("k,ckx->cx", corners, air.nodal_velocity[air.dofs]) - np.array(u(*at)).T) ** 2).sum(1)
+        error += weight * air.volume @ ((np.einsum("k,ckx->cx", corners,
+                                                   air.nodal_velocity[air.dofs]) - np.array(u(*at)).T) ** 2).sum(1)
         difference.append(air.pressure.x.array[air.dofs] @ corners - p(*at))
         weights.append(weight * air.volume)
     shift = sum(w @ d for w, d in zip(weights, difference)) / air.volume.sum()
@@ -167,7 +169,8 @@ def brinkman_error(ratio, n, dt_beta=0.2):
     height, mu = 1.0, 1e-2
     beta = mu / (ratio * height ** 2)
     mesh, tags = fe_el.periodic_box((0.5, height), (4, n), (True, False))
-    air = fe_el.VolumeAveragedNavierStokes(mesh, tags, 1.0, mu, tolerance=1e-11, time_order=1, mean_pressure_gradient=(beta, 0.0))
+    air = fe_el.VolumeAveragedNavierStokes(mesh, tags, 1.0, mu, tolerance=1e-11, time_order=1,
+                                           mean_pressure_gradient=(beta, 0.0))
     air.set_no_slip(3)
     air.set_no_slip(4)
     scalar, vector = fem.FunctionSpace(mesh, ("DG", 0)), fem.VectorFunctionSpace(mesh, ("DG", 0))
@@ -232,7 +235,8 @@ def test_eddy_viscosities(model):
 
 @pytest.mark.ranks
 def test_scalar_constant_stays_and_content_is_kept_while_the_void_fraction_moves():
-    """A constant stays constant to solver tolerance, the integral of rho phi c to round-off, in a flow with moving solids."""
+    """A constant stays constant to solver tolerance, the integral of rho phi c to round-off, in a flow with moving
+    solids."""
     mesh, _ = fe_el.periodic_box((1.0, 1.0), (12, 12))
     air = fe_el.VolumeAveragedNavierStokes(mesh, None, 1.3, 1e-3, tolerance=1e-12)
     air.set_initial_velocity((0.3, -0.2))
@@ -288,14 +292,16 @@ def test_what_flows_in_has_the_value_of_the_inflow():
 
 
 def orders_beside_walls(wall, viscosity, counts=(16, 32, 64)):
-    """Orders in time, nodal and cell velocities, of a force that grows and turns in a closed box: steps halved twice on one mesh."""
+    """Orders in time, nodal and cell velocities, of a force that grows and turns in a closed box: steps halved twice on one
+    mesh."""
     nodal, cell = [], []
     for steps in counts:
         mesh, tags = fe_el.box((1.0, 1.0), (10, 10))
         air = fe_el.VolumeAveragedNavierStokes(mesh, tags, 1.0, viscosity, tolerance=1e-12)
         for side in (1, 2, 3, 4):
             getattr(air, wall)(side)
-        air.body_force = lambda t, x: np.column_stack([np.sin(2 * t) * np.sin(PI * x[:, 1]), np.sin(t) * np.cos(PI * x[:, 0])])
+        air.body_force = lambda t, x: np.column_stack([np.sin(2 * t) * np.sin(PI * x[:, 1]),
+                                                       np.sin(t) * np.cos(PI * x[:, 0])])
         for _ in range(steps):
             air.advance(0.4 / steps)
         nodal.append(air.nodal_velocity.copy())
@@ -395,7 +401,8 @@ def test_petsc_options_reach_each_solver():
 
 
 def test_a_solver_falls_back_and_returns_to_its_own_method():
-    """What the chosen method cannot solve the next one does, and stays in use; if that fails in turn, the chosen one is tried."""
+    """What the chosen method cannot solve the next one does, and stays in use; if that fails in turn, the chosen one is
+    tried."""
     mesh, _ = fe_el.box((1.0, 1.0), (4, 4))
     air = fe_el.VolumeAveragedNavierStokes(mesh)
     air.advance(0.1)
@@ -403,7 +410,8 @@ def test_a_solver_falls_back_and_returns_to_its_own_method():
     exact = solver.solve(rhs, np.zeros_like(rhs)).copy()
     solver.ksp.setTolerances(rtol=1e-12, max_it=1)
     found = solver.solve(rhs, np.zeros_like(rhs)).copy()
-    assert solver.fallbacks == 1 and solver.resort > 1 and np.allclose(found, exact, rtol=1e-6, atol=1e-6 * np.abs(exact).max())
+    assert solver.fallbacks == 1 and solver.resort > 1 and np.allclose(found, exact, rtol=1e-6,
+                                                                       atol=1e-6 * np.abs(exact).max())
     solver.ksp.setTolerances(rtol=1e-8, max_it=500)
     plain = solver._fallback
 

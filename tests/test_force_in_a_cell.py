@@ -17,7 +17,8 @@ def mobility(number, steps, cells=6, drag_coefficient=0.0):
     void.x.array[:] = 1.0
     one = int(np.argmin(np.abs(air.corner.mean(1) - 0.5).max(1)))
     drag.x.array[one] = drag_coefficient / air.volume[one]
-    source.x.array[3 * one + 2] = 1e-6 / air.volume[one]  # without drag the force, with drag A times the velocity of the body
+    # without drag the force, with drag A times the velocity of the body
+    source.x.array[3 * one + 2] = 1e-6 / air.volume[one]
     for _ in range(steps):
         air.advance(number / cells ** 2, (void, drag, source))
     velocity = air.velocity.x.array[3 * one + 2]
@@ -37,7 +38,8 @@ def test_body_held_by_drag_feels_the_same_velocity(strength):
 
 
 def sphere_error(ratio, places=3, cells=8, reynolds=0.08):
-    """How much too fast one sphere of diameter ``ratio`` cells falls in a periodic box of liquid, two-way, mean over places."""
+    """How much too fast one sphere of diameter ``ratio`` cells falls in a periodic box of liquid, two-way, mean over
+    places."""
     h, rho, rho_p, g, found = 1e-3, 1000.0, 2500.0, 9.81, []
     d, length, down = ratio * h, np.full(3, cells * h), np.array([0, 0, -g])
     mu = np.sqrt((rho_p - rho) * g * d ** 3 * rho / (18 * reynolds))

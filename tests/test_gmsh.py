@@ -33,8 +33,10 @@ def write(path, case):
 
 @pytest.mark.ranks
 @pytest.mark.parametrize("case, dimension, words", [("two", 3, "in 2 physical groups"), ("one", 3, "in 0 physical groups"),
-                                                    ("none", 3, "in 0 physical groups"), ("turned", 2, "plane of constant z"),
-                                                    ("turned", 3, "cells of type none"), ("text", 3, "physical groups|cannot read|cells of")])
+                                                    ("none", 3, "in 0 physical groups"),
+                                                    ("turned", 2, "plane of constant z"),
+                                                    ("turned", 3, "cells of type none"),
+                                                    ("text", 3, "physical groups|cannot read|cells of")])
 def test_what_is_no_mesh_is_refused_and_the_next_is_read(folder, case, dimension, words):
     path = f"{folder}/{case}.msh"
     if MPI.COMM_WORLD.rank == 0:

@@ -18,7 +18,8 @@ def bed(scheme="conservative", mapping="well_mixed", cells=(4, 4, 8)):
     fluid.set_pressure(6, 0.0)
     beads = fe_el.Particles(mesh, 2000.0, gravity=(0, 0, -9.81))
     beads.insert_in_box((0, 0, 0), lengths, int(SOLID * lengths.prod() / (np.pi / 6 * D ** 3)), D, seed=1)
-    coupling = fe_el.Coupling(beads, fluid.velocity, fluid.pressure, DENSITY, VISCOSITY, [fe_el.Drag("ergun"), fe_el.PressureGradient()],
+    coupling = fe_el.Coupling(beads, fluid.velocity, fluid.pressure, DENSITY, VISCOSITY,
+                              [fe_el.Drag("ergun"), fe_el.PressureGradient()],
                               scheme=scheme, mapping=mapping)
     return fluid, beads, coupling
 
@@ -75,10 +76,12 @@ def test_a_bed_that_is_held_costs_no_motion(monkeypatch):
 
 @pytest.mark.ranks
 def test_rebound_from_a_held_bead_is_that_from_a_body_that_nothing_moves():
-    """It does not move, and the other comes back with its restitution; momentum of those that move is changed by the holder alone."""
+    """It does not move, and the other comes back with its restitution; momentum of those that move is changed by the holder
+    alone."""
     mesh, _ = fe_el.box((0.02, 0.02, 0.02), (2, 2, 2))
     p = fe_el.Particles(mesh, density=2500.0)
-    p.insert_at([[0.01, 0.01, 0.01], [0.0115, 0.01, 0.01], [0.01, 0.0109, 0.01]], 1e-3, velocity=[[0, 0, 0], [-0.5, 0, 0], [0, 0, 0]])
+    p.insert_at([[0.01, 0.01, 0.01], [0.0115, 0.01, 0.01], [0.01, 0.0109, 0.01]], 1e-3,
+                velocity=[[0, 0, 0], [-0.5, 0, 0], [0, 0, 0]])
     p.hold(p.id != 1)  # the third overlaps with the first
     contacts = fe_el.Contacts(p, fe_el.LinearSpringDashpot(1000.0, 0.7, 0.3), steps_per_contact=400)
     for _ in range(30):

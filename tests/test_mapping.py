@@ -54,7 +54,8 @@ def test_shares_are_those_of_random_points(ratio, dimension):
     mesh, _ = fe_el.periodic_box((1.0,) * dimension, (n,) * dimension)
     p = spheres(mesh, np.random.default_rng(1).random((100, dimension)), 1 / n / ratio)
     points = points_in_ball(4000)
-    true = shares_of_points(p.cells.barycentric, p.cells.neighbour, p.cells.shift, p.cell, p.position, p.diameter / 2, points,
+    true = shares_of_points(p.cells.barycentric, p.cells.neighbour, p.cells.shift, p.cell, p.position, p.diameter / 2,
+                            points,
                             len(p.cells.volume))
     noise = np.sqrt((true * (1 - true)).sum(1).mean() / len(points))
     error = np.sqrt(((shares(p) - true) ** 2).sum(1).mean())

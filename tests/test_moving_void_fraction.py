@@ -1,4 +1,5 @@
-"""The fluid while the void fraction moves: exact free stream, momentum, energy, and orders against a manufactured solution."""
+"""The fluid while the void fraction moves: exact free stream, momentum, energy, and orders against a manufactured
+solution."""
 import numpy as np
 import pytest
 from dolfinx import fem
@@ -18,8 +19,8 @@ def fields_of(mesh):
 def carried(air, phi, rate0, dt, stream, weight):
     """The void fraction after a step in which a uniform stream carries it along, as the scheme's continuity sees it.
 
-    The smallest change of ``phi`` with (phi' stream, grad w) = (end rate, w) for every nodal w; weight 1.5 and 0.5 are those of
-    the parabola through three void fractions, 1 and 0 those of a first-order rate.
+    The smallest change of ``phi`` with (phi' stream, grad w) = (end rate, w) for every nodal w; weight 1.5 and 0.5 are those
+    of the parabola through three void fractions, 1 and 0 those of a first-order rate.
     """
     m, n = air.dimension + 1, air.num_cells
     share, flow = np.zeros((air.nodes, n)), np.zeros((air.nodes, n))
@@ -56,7 +57,8 @@ def void_fraction(t, x, y):
 
 def velocity(t, x, y):
     f = 1 + 0.5 * np.sin(2 * t)
-    return f * np.array([np.sin(PI * x) ** 2 * np.sin(PI * y) * np.cos(PI * y), -np.sin(PI * x) * np.cos(PI * x) * np.sin(PI * y) ** 2])
+    return f * np.array([np.sin(PI * x) ** 2 * np.sin(PI * y) * np.cos(PI * y),
+                         -np.sin(PI * x) * np.cos(PI * x) * np.sin(PI * y) ** 2])
 
 
 def pressure(t, x, y):
@@ -85,7 +87,8 @@ def body_force(t, c):
 
 
 def manufactured_error(n, dt, end=1.0):
-    """Relative L2 errors of the cell velocity at the end and of the pressure, which is that of the middle of the last step."""
+    """Relative L2 errors of the cell velocity at the end and of the pressure, which is that of the middle of the last
+    step."""
     mesh, tags = fe_el.box((2.0, 2.0), (n, n))
     air = fe_el.VolumeAveragedNavierStokes(mesh, tags, 1.0, VISCOSITY, tolerance=1e-10)
     for side in (1, 2, 3, 4):

@@ -56,7 +56,8 @@ def test_a_crowded_inlet_waits():
     """More mass than fits through the inlet is not lost: it waits, and is counted."""
     mesh, tags = fe_el.box((0.01, 0.01, 0.02), (2, 2, 4))
     p = fe_el.Particles(mesh, RHO)
-    inlet = fe_el.Inlet(p, tags, 6, 1.0, lambda generator, count: generator.uniform(1.9e-3, 2e-3, count), (0, 0, -0.01), tries=20)
+    inlet = fe_el.Inlet(p, tags, 6, 1.0, lambda generator, count: generator.uniform(1.9e-3, 2e-3, count), (0, 0, -0.01),
+                        tries=20)
     inlet.advance(1e-2)
     assert 5 < inlet.inserted < 25
     assert inlet.waiting + p.comm.allreduce(p.mass.sum()) == pytest.approx(1e-2, rel=1e-12)

@@ -20,7 +20,8 @@ def one_way(particles, velocity, **settings):
 
 def touchless(particles, dt, steps):
     """Contacts that make ``steps`` sub-steps of a step."""
-    return fe_el.Contacts(particles, fe_el.LinearSpringDashpot(particles.mass.min() * (np.pi * steps / (10 * dt)) ** 2, 1.0, 0.0),
+    return fe_el.Contacts(particles, fe_el.LinearSpringDashpot(particles.mass.min() * (np.pi * steps / (10 * dt)) ** 2, 1.0,
+                                                               0.0),
                           steps_per_contact=10)
 
 
@@ -127,7 +128,8 @@ def test_a_bead_on_the_floor_has_the_drag_of_rest(relaxations):
 
 def crowd(restitution=0.9):
     """A dense suspension whose particles collide in every step."""
-    scene = Suspension(150e-6, 1500.0, 0.3, (12, 12, 12), (3, 3, 3), "conservative", "beetstra", "satellite_points", "cell", None, 1.0,
+    scene = Suspension(150e-6, 1500.0, 0.3, (12, 12, 12), (3, 3, 3), "conservative", "beetstra", "satellite_points", "cell",
+                       None, 1.0,
                        True, 1)
     scene.beads.velocity += np.random.default_rng(2).normal(size=(scene.count, 3))[scene.beads.id]
     return scene

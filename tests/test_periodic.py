@@ -48,10 +48,13 @@ def test_slices_share_out_the_cells_evenly():
 
 
 @pytest.mark.ranks
-@pytest.mark.parametrize("scheme", ["implicit", "implicit_from_force", "split", "void_cells_explicit", "explicit", "conservative"])
+@pytest.mark.parametrize("scheme", ["implicit", "implicit_from_force", "split", "void_cells_explicit", "explicit",
+                                    "conservative"])
 def test_every_scheme_runs_with_smoothing_and_in_the_same_fields(scheme):
-    """With smoothing (and eq. 5 for the mean velocity) all schemes give the same slip at a small step within a few per cent."""
-    scene = Suspension(150e-6, 1500.0, 0.1, (24, 24, 24), (6, 6, 6), scheme, "beetstra", "satellite_points", "cell", 2.0, 1.0,
+    """With smoothing (and eq. 5 for the mean velocity) all schemes give the same slip at a small step within a few per
+    cent."""
+    scene = Suspension(150e-6, 1500.0, 0.1, (24, 24, 24), (6, 6, 6), scheme, "beetstra", "satellite_points", "cell", 2.0,
+                       1.0,
                        False, 1)
     for _ in range(20):
         scene.advance(1e-5)
@@ -61,10 +64,12 @@ def test_every_scheme_runs_with_smoothing_and_in_the_same_fields(scheme):
 
 @pytest.mark.ranks
 def test_patch_average_keeps_momentum_too():
-    scene = Suspension(150e-6, 1500.0, 0.1, (24, 24, 24), (6, 6, 6), "conservative", "beetstra", "satellite_points", "linear", None,
+    scene = Suspension(150e-6, 1500.0, 0.1, (24, 24, 24), (6, 6, 6), "conservative", "beetstra", "satellite_points",
+                       "linear", None,
                        1.0, False, 1)
     old = scene.coupling
-    scene.coupling = fe_el.Coupling(scene.beads, scene.air.velocity, scene.air.pressure, 1.3, 1.8e-5, [old.drag, old.pressure_force],
+    scene.coupling = fe_el.Coupling(scene.beads, scene.air.velocity, scene.air.pressure, 1.3, 1.8e-5,
+                                    [old.drag, old.pressure_force],
                                     smoothing=fe_el.PatchAverage(scene.mesh, 2), fluid_velocity="linear")
     scene.coupling.to_fluid(1e-4)
     before = scene.momentum()
@@ -90,7 +95,8 @@ def test_polydisperse_drag_in_a_mixture_acts_on_both_sizes():
 
 
 def test_time_scales_and_advice():
-    """The paper's suspension: tau_p and tau_f of the reference, the explicit limit near 0.025 at dense clusters, and advice."""
+    """The paper's suspension: tau_p and tau_f of the reference, the explicit limit near 0.025 at dense clusters, and
+    advice."""
     law = fe_el.drag_laws.beetstra
     slip = time_scales.homogeneous_slip(150e-6, 1500.0, 1.3, 1.8e-5, 0.1, law)
     assert slip == pytest.approx(0.375337, rel=1e-5)

@@ -58,7 +58,8 @@ def test_amplification_of_the_papers_schemes(reference, scheme, column):
 @pytest.mark.parametrize("scheme", ["implicit", "conservative"])
 @pytest.mark.parametrize("ratio", [0.1, 1.0, 5.0])
 def test_momentum_that_the_papers_implicit_scheme_loses(scheme, ratio):
-    """Over a whole relaxation eq. 8 loses dt/tau_f times the initial slip momentum of the fluid; conservative drag nothing."""
+    """Over a whole relaxation eq. 8 loses dt/tau_f times the initial slip momentum of the fluid; conservative drag
+    nothing."""
     air, beads, coupling, dt = two_bodies_at(scheme, ratio)
     before = beads.momentum()[2]
     for _ in range(250):
@@ -116,7 +117,8 @@ def test_momentum_is_kept_with_linear_interpolation_and_any_mapping(mapping):
 @pytest.mark.ranks
 def test_momentum_is_kept_with_contacts_and_over_filled_cells():
     """Cells smaller than the particles: some are over-filled, hand on their excess, and nothing is lost."""
-    scene = Suspension(D, RHO_P, 0.3, (9, 9, 9), (8, 8, 8), "conservative", "beetstra", "satellite_points", "cell", None, 1.0,
+    scene = Suspension(D, RHO_P, 0.3, (9, 9, 9), (8, 8, 8), "conservative", "beetstra", "satellite_points", "cell", None,
+                       1.0,
                        True, 1)
     check_momentum(scene, 2.0)
     assert scene.coupling.over_filled_total > 0
@@ -138,7 +140,8 @@ def check_momentum(scene, dt_star, steps=6):
 @pytest.mark.parametrize("dt_star", [0.1, 10.0, 1000.0])
 def test_energy_of_a_closed_system_never_grows(dt_star):
     """No gravity, random velocities of both phases: kinetic energy decays at every step, however large."""
-    scene = Suspension(D, RHO_P, 0.1, (24, 24, 24), (4, 4, 4), "conservative", "beetstra", "satellite_points", "cell", None, 1.0,
+    scene = Suspension(D, RHO_P, 0.1, (24, 24, 24), (4, 4, 4), "conservative", "beetstra", "satellite_points", "cell", None,
+                       1.0,
                        False, 1)
     air, beads = scene.air, scene.beads
     air.gravity[:] = air.mean_pressure_gradient[:] = beads.gravity[:] = 0.0
@@ -153,13 +156,15 @@ def test_energy_of_a_closed_system_never_grows(dt_star):
     assert (np.diff(energy) <= 1e-12 * energy[0]).all()
 
 
-@pytest.mark.parametrize("law, column", [("beetstra", "slip_Beetstra"), ("wen_yu", "slip_WenYu"), ("gidaspow", "slip_Gidaspow"),
+@pytest.mark.parametrize("law, column", [("beetstra", "slip_Beetstra"), ("wen_yu", "slip_WenYu"),
+                                         ("gidaspow", "slip_Gidaspow"),
                                          ("tang", "slip_Tang"), ("tenneti", "slip_Tenneti(x eps)"),
                                          ("koch_hill", "slip_KochHill(x eps)")])
 def test_slip_of_a_uniform_suspension(reference, law, column):
     """Started at twice the slip, a suspension without clusters finds the analytic slip within 0.1 %."""
     row = next(r for r in reference("homogeneous_sedimentation_slip.csv") if r["phi"] == 0.1)
-    scene = Suspension(D, RHO_P, 0.1, (24, 24, 24), (3, 3, 3), "conservative", law, "well_mixed", "cell", None, 1.0, False, 1)
+    scene = Suspension(D, RHO_P, 0.1, (24, 24, 24), (3, 3, 3), "conservative", law, "well_mixed", "cell", None, 1.0, False,
+                       1)
     fall = scene.beads.velocity[0, 2]
     scene.air.set_initial_velocity((0, 0, fall + 2 * scene.slip))
     for _ in range(60):
@@ -172,7 +177,8 @@ def test_slip_of_a_uniform_suspension(reference, law, column):
 @pytest.mark.parametrize("scheme", ["implicit", "implicit_from_force", "split", "void_cells_explicit"])
 def test_the_papers_schemes_drift(folder, scheme):
     """Eq. 8 and its variants lose momentum where the conservative scheme keeps it to round-off (paper, S9)."""
-    common = {"box": (24.0, 24.0, 24.0), "cells": (4, 4, 4), "dt_star": 0.4375, "end_time": 0.01, "output": folder, "progress": False}
+    common = {"box": (24.0, 24.0, 24.0), "cells": (4, 4, 4), "dt_star": 0.4375, "end_time": 0.01, "output": folder,
+              "progress": False}
     kept = main(coupling="conservative", **common)
     lost = main(coupling=scheme, **common)
     assert kept["drift_over_weight"] < 1e-12 and lost["drift_over_weight"] > 1e-6
@@ -180,9 +186,10 @@ def test_the_papers_schemes_drift(folder, scheme):
 
 
 def test_the_papers_correction_force(folder):
-    """With interpolated velocities eq. 8 needs a correction of more than 5 % of the weight, split a fraction of that (paper, S9);
-    under the correction the total momentum stays within what one step drifts."""
-    common = {"box": (24.0, 24.0, 24.0), "cells": (4, 4, 4), "dt_star": 0.4375, "end_time": 0.05, "output": folder, "progress": False,
+    """With interpolated velocities eq. 8 needs a correction of more than 5 % of the weight, split a fraction of that (paper,
+    S9); under the correction the total momentum stays within what one step drifts."""
+    common = {"box": (24.0, 24.0, 24.0), "cells": (4, 4, 4), "dt_star": 0.4375, "end_time": 0.05, "output": folder,
+              "progress": False,
               "fluid_velocity": "linear", "correct_momentum": True}
     implicit, split = (main(coupling=c, **common) for c in ("implicit_from_force", "split"))
     assert implicit["correction_over_weight"] > max(0.05, 4 * abs(split["correction_over_weight"]))

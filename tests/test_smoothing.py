@@ -42,7 +42,8 @@ def test_smoothing_does_not_depend_on_ranks(tmp_path):
     source = (np.abs(x[:, :2] - 0.5).max(1) < 0.026).astype(float)[:, None]
     volume, moment = smooth.nodes.measure, lambda f: mesh.comm.allreduce(
         (volume * f[:, 0]) @ (x[:, :2] - 0.5) ** 2) / mesh.comm.allreduce(volume @ f[:, 0])
-    assert np.allclose(moment(smooth(source)) - moment(source), 2 * 0.05 ** 2, rtol=0.12)  # cells to nodes adds about h^2 / 6
+    # cells to nodes adds about h^2 / 6
+    assert np.allclose(moment(smooth(source)) - moment(source), 2 * 0.05 ** 2, rtol=0.12)
 
 
 def test_point_source_gives_the_yukawa_profile():

@@ -78,7 +78,8 @@ def test_a_bad_factor_is_refused():
 def test_adaptive_steps_hold_the_courant_number():
     mesh, _ = fe_el.periodic_box((2 * PI, 2 * PI), (8, 8))
     air = fe_el.VolumeAveragedNavierStokes(mesh, None, 1.0, 0.1)
-    air.set_initial_velocity(lambda t, x: np.column_stack([np.sin(x[:, 0]) * np.cos(x[:, 1]), -np.cos(x[:, 0]) * np.sin(x[:, 1])]))
+    air.set_initial_velocity(lambda t, x: np.column_stack([np.sin(x[:, 0]) * np.cos(x[:, 1]),
+                                                           -np.cos(x[:, 0]) * np.sin(x[:, 1])]))
     steps = []
     for time, dt in fe_el.adaptive_steps(air, 2.0, courant=0.4, growth=1.1, progress=False):
         assert air.courant(dt) < 0.4 + 1e-12
@@ -92,7 +93,8 @@ def test_adaptive_steps_hold_the_courant_number():
 def test_adaptive_steps_refuse_what_gives_no_step():
     mesh, _ = fe_el.box((1.0, 1.0), (2, 2))
     air = fe_el.VolumeAveragedNavierStokes(mesh)
-    for words, options in (("at rest", {}), ("courant", {"courant": 0.0}), ("growth", {"growth": 0.5}), ("largest", {"largest": -1})):
+    for words, options in (("at rest", {}), ("courant", {"courant": 0.0}), ("growth", {"growth": 0.5}),
+                           ("largest", {"largest": -1})):
         with pytest.raises(ValueError, match=words):
             next(fe_el.adaptive_steps(air, 1.0, progress=False, **options))
     assert next(fe_el.adaptive_steps(air, 1.0, first=0.1, progress=False))[1] == 0.1

@@ -19,7 +19,8 @@ def energies(scene):
 
 @pytest.mark.parametrize("roughness", [ROUGH, SMOOTH])
 @pytest.mark.parametrize("changes", [
-    {"reynolds": 1e7}, {"reynolds": 1e7, "drag_number": 1e8}, {"reynolds": 1e7, "void": 0.36}, {"density": 1e-3, "drag": 1e3},
+    {"reynolds": 1e7}, {"reynolds": 1e7, "drag_number": 1e8}, {"reynolds": 1e7, "void": 0.36},
+                                     {"density": 1e-3, "drag": 1e3},
     {"reynolds": 1e7, "stretch": 100.0}, {"reynolds": 1e7, "drag_number": 1e8, "void": 0.36},
 ], ids=["Re 1e7", "drag", "void", "density", "stretch", "drag and void"])
 def test_energy_decays_at_every_step(changes, roughness):

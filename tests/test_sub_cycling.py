@@ -14,7 +14,8 @@ D, RHO_P, MU = 150e-6, 1500.0, 1.8e-5
 
 
 def suspension(fluid_steps=4, smoothing_length=None, contacts=False, solid=0.1, box=(24, 24, 24), cells=(4, 4, 4)):
-    return Suspension(D, RHO_P, solid, box, cells, "conservative", "beetstra", "satellite_points", "cell", smoothing_length, 1.0,
+    return Suspension(D, RHO_P, solid, box, cells, "conservative", "beetstra", "satellite_points", "cell", smoothing_length,
+                      1.0,
                       contacts, 1, fluid_steps, "middle")
 
 
@@ -61,7 +62,8 @@ def test_energy_of_a_closed_system_never_grows(dt_star):
 def test_large_steps_are_more_accurate():
     """At eight fluid relaxation times a step: less than half the error, against a step of 0.1."""
     def run(scheme, dt_star):
-        return error_against_run_time.slip_history(error_against_run_time.suspension(scheme, (32.0,) * 3, (4,) * 3, 1), dt_star, 0.03)
+        return error_against_run_time.slip_history(error_against_run_time.suspension(scheme, (32.0,) * 3, (4,) * 3, 1),
+                                                   dt_star, 0.03)
     reference = run("conservative", 0.1)[0]
 
     def error(scheme):

@@ -22,7 +22,8 @@ def l_shaped(n=4, size=0.04):
     root = MPI.COMM_WORLD.rank == 0
     domain = ufl.Mesh(ufl.VectorElement("Lagrange", "tetrahedron", 1))
     empty = np.zeros((0, 4), np.int64), np.zeros((0, 3))
-    mesh = dmesh.create_mesh(MPI.COMM_WORLD, *((renamed.reshape(-1, 4).astype(np.int64), box.geometry.x[used]) if root else empty),
+    mesh = dmesh.create_mesh(MPI.COMM_WORLD, *((renamed.reshape(-1, 4).astype(np.int64),
+                                                box.geometry.x[used]) if root else empty),
                              domain)
     mesh.topology.create_connectivity(2, 3)
     facets = np.sort(dmesh.exterior_facet_indices(mesh.topology)).astype(np.int32)
@@ -61,7 +62,8 @@ def test_a_face_gives_no_energy_and_is_a_mirror_without_friction(angle, spin):
 @pytest.mark.parametrize("cells", [(1, 400, 1), (2, 1, 2)])
 @pytest.mark.parametrize("angle", [0, 45, 85])
 def test_slivers_give_the_rebound_of_a_plane(cells, angle):
-    """Facets forty times thinner than the sphere, 400:1 stretched, or far larger than it, bent ones too: one contact, no ghosts."""
+    """Facets forty times thinner than the sphere, 400:1 stretched, or far larger than it, bent ones too: one contact, no
+    ghosts."""
     mesh, tags = fe_el.box((0.02, 0.02, 0.02), cells)
     t, s = np.radians(angle), np.radians(20)
     direction = (np.sin(t) * np.cos(s), np.sin(t) * np.sin(s), -np.cos(t))
@@ -79,8 +81,10 @@ def test_a_sphere_rolls_straight_over_needles():
     low, high = np.column_stack([along, 0 * along, 0 * along]), np.column_stack([along + 0.013, 0.03 + 0 * along, 0 * along])
     top = np.array([[0.02, 0.015, 0.03]])
     x = np.concatenate([low, high, top])
-    cells = np.array([c for k in range(n) for c in ((k, k + 1, n + 1 + k, 2 * n + 2), (k + 1, n + 1 + k, n + 2 + k, 2 * n + 2))])
-    mesh = dmesh.create_mesh(MPI.COMM_SELF, cells.astype(np.int64), x, ufl.Mesh(ufl.VectorElement("Lagrange", "tetrahedron", 1)))
+    cells = np.array([c for k in range(n) for c in ((k, k + 1, n + 1 + k, 2 * n + 2), (k + 1, n + 1 + k, n + 2 + k,
+                                                                                       2 * n + 2))])
+    mesh = dmesh.create_mesh(MPI.COMM_SELF, cells.astype(np.int64), x,
+                             ufl.Mesh(ufl.VectorElement("Lagrange", "tetrahedron", 1)))
     mesh.topology.create_connectivity(2, 3)
     floor = np.sort(dmesh.locate_entities_boundary(mesh, 2, lambda y: np.abs(y[2]) < 1e-12)).astype(np.int32)
     tags = dmesh.meshtags(mesh, 2, floor, np.ones(len(floor), np.int32))
@@ -117,7 +121,8 @@ def test_what_an_elastic_impact_gains_falls_with_the_square_of_the_step():
 @pytest.mark.parametrize("offset", [-0.9e-3, -0.3e-3, 0.0, 0.4e-3])
 @pytest.mark.parametrize("angle", [10, 45, 80])
 def test_a_convex_edge_gives_no_energy_and_turns_like_a_cylinder(offset, angle):
-    """Around an edge the wall is a point in the plane across it: angular momentum about the edge is kept without friction."""
+    """Around an edge the wall is a point in the plane across it: angular momentum about the edge is kept without
+    friction."""
     mesh, tags = l_shaped()
     edge = np.array([0.02, 0.0193, 0.02])
     t = np.radians(angle)
@@ -216,7 +221,8 @@ def test_a_turning_plane_keeps_its_point_and_turns_its_normal():
 def test_bad_walls_are_refused():
     mesh, tags = fe_el.box((1.0, 1.0, 1.0), (2, 2, 2))
     p = fe_el.Particles(mesh, RHO)
-    for words, make in (("group 9", lambda: fe_el.Contacts(p, LAW, (tags, 9))), ("no wall", lambda: fe_el.Contacts(p, LAW, "wall")),
+    for words, make in (("group 9", lambda: fe_el.Contacts(p, LAW, (tags, 9))),
+                        ("no wall", lambda: fe_el.Contacts(p, LAW, "wall")),
                         ("normal", lambda: fe_el.PlaneWall((0, 0, 0), (0, 0, 0))),
                         ("radius", lambda: fe_el.CylinderWall((0, 0, 0), (0, 0, 1), -1.0)),
                         ("axis", lambda: fe_el.CylinderWall((0, 0, 0), (0, 0, 0), 1.0)),

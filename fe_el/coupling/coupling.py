@@ -27,21 +27,27 @@ class Coupling:
 
     Args:
         particles (Particles): the particles.
-        velocity: the fluid's interstitial velocity, a vector Function or UFL expression [m/s]. Of a fluid that particles do not
+        velocity: the fluid's interstitial velocity, a vector Function or UFL expression [m/s]. Of a fluid that particles do
+            not
             change, set by the script: that of the middle of the step.
         pressure: its pressure, of the middle of the step, a Function or UFL expression [Pa].
         fluid_density, fluid_viscosity (float): [kg/m^3], [Pa s].
         forces: list of :class:`Drag`, :class:`PressureGradient`, :class:`ViscousStress`, :class:`Buoyancy`.
-        scheme (str): ``conservative``, ``explicit``, ``implicit``, ``implicit_from_force``, ``split`` or ``void_cells_explicit``.
+        scheme (str): ``conservative``, ``explicit``, ``implicit``, ``implicit_from_force``, ``split`` or
+            ``void_cells_explicit``.
         mapping: ``overlap_volume``, ``satellite_points`` (the paper's), ``cfdem_points``, ``particle_centred``, ``hat``,
             ``well_mixed``, or an object (see :mod:`fe_el.coupling.mapping`).
-        smoothing: :class:`HelmholtzSmoothing`, :class:`PatchAverage` or another self-adjoint map of cell fields; absent: none.
+        smoothing: :class:`HelmholtzSmoothing`, :class:`PatchAverage` or another self-adjoint map of cell fields; absent:
+            none.
         fluid_velocity (str): velocity at the particle: ``cell`` means, or ``linear`` interpolation between vertices; the
             difference of the two lags by a step, and momentum stays exact.
         largest_solid_fraction (float): cells that hold more hand the excess to their neighbours, conservatively.
-        positions (str): the particles' positions that are mapped: of the ``start`` of the step, or of its ``middle``; absent: of
-            the middle, but where a fluid answers: of the start in a liquid, whose answer to what particles displace would be fed
-            back by places ahead, and earlier than the middle in one step of a Courant number above 1, from 4 on of the start.
+        positions (str): the particles' positions that are mapped: of the ``start`` of the step, or of its ``middle``;
+            absent: of
+            the middle, but where a fluid answers: of the start in a liquid, whose answer to what particles displace would be
+                fed
+            back by places ahead, and earlier than the middle in one step of a Courant number above 1, from 4 on of the
+            start.
         mean_velocity: mean of the velocity that drag acted on in the step, for a fluid that makes several of its own (as
             :class:`SubCycled`, with its mean pressure for ``pressure``); absent: ``velocity``.
 
@@ -91,7 +97,8 @@ class Coupling:
         self.velocity_mean = self.step_mean = CellMean(mesh, velocity, d)
         if mean_velocity is not None:
             self.step_mean = CellMean(mesh, mean_velocity, d)
-        self.gradient_mean = PressureGradientMean(mesh, pressure, particles.cells.barycentric) if self.pressure_force else None
+        self.gradient_mean = PressureGradientMean(mesh, pressure,
+                                                  particles.cells.barycentric) if self.pressure_force else None
         self.stress_mean = ViscousStressMean(mesh, fluid_viscosity) if viscous else None
         length = getattr(smoothing, "length", None)
         self.fixed = FixedValues(mesh, length) if length and scheme in ("implicit", "implicit_from_force") else None
@@ -192,7 +199,8 @@ class Coupling:
         loops.fluid_at_particles(mean, velocity, solid, slip)
         beta = self._coefficient(solid, slip)
         inertia, acceleration = self._accelerations()
-        exchange = Exchange(dt, self.volume, inertia, velocity, acceleration, beta[:, None], mean[:, 1:], offset, self._to_cells,
+        exchange = Exchange(dt, self.volume, inertia, velocity, acceleration, beta[:, None], mean[:, 1:], offset,
+                            self._to_cells,
                             lambda q: self._deposit(q)[:n], cell_velocity, self.fixed or (lambda field, filled: field))
         a, b = self.scheme.fields(exchange)
         if self.stress_mean is not None:
@@ -204,23 +212,27 @@ class Coupling:
         """Drag coefficient of each particle, checked."""
         p, sauter = self.particles, None
         if self.drag.polydisperse:
-            sums = self._gather(self._on_cells(self._to_cells(np.hstack([self.volume, self.volume / p.primary_diameter[:, None]]))))
+            sums = self._gather(self._on_cells(self._to_cells(np.hstack([self.volume,
+                                                                         self.volume / p.primary_diameter[:, None]]))))
             sauter = sums[:, 0] / sums[:, 1]
         beta = self.drag.coefficient(solid, slip, p.primary_diameter, self.density, self.viscosity, sauter)
         i, message = loops.first_bad(beta), None
         if i >= 0:
             message = (f"The drag law gave {beta[i]:g} for particle {p.id[i]} at solid fraction {solid[i]:g} and slip "
-                       f"{slip[i]:g} m/s (step {p.step}, rank {self.comm.rank}); it must be finite and not negative. Check the "
+                       f"{slip[i]:g} m/s (step {p.step}, rank {self.comm.rank}); it must be finite and not negative. Check "
+                       f"the "
                        "law's range or use larger cells.")
         raise_everywhere(self.comm, FloatingPointError, message)
         return beta
 
     def _accelerations(self):
-        """Densities (particles, 1), infinite if held, and accelerations (particles, d): by gravity, the last mean contact force,
+        """Densities (particles, 1), infinite if held, and accelerations (particles, d): by gravity, the last mean contact
+        force,
         and the other forces of the fluid as of the last step."""
         p, n = self.particles, len(self.particles)
         inertia, acceleration = self._work.empty("inertia", n, 1), self._work.empty("acceleration", n, self.dimension)
-        loops.accelerations(p.held, self.volume, p.density, p.gravity, self._steady, p.mean_contact_force, self.explicit_reaction,
+        loops.accelerations(p.held, self.volume, p.density, p.gravity, self._steady, p.mean_contact_force,
+                            self.explicit_reaction,
                             p.properties.get("_pressure_gradient", self._none), inertia, acceleration)
         return inertia, acceleration
 
@@ -248,7 +260,8 @@ class Coupling:
         if self.pressure_force is not None:
             received += (volume * (1 - self.fields[0].x.array[:len(volume), None]) * slope).sum(0)
             gradient = p.properties.setdefault("_pressure_gradient", np.empty((len(p), d)))
-        given, mass = loops.total_force(self.volume, p.density, self._steady, drag, self.explicit_reaction, at_particles[:, d:],
+        given, mass = loops.total_force(self.volume, p.density, self._steady, drag, self.explicit_reaction,
+                                        at_particles[:, d:],
                                         gradient, p.force)
         self._momentum_ledger(given, received, mass, changed)
         self._end("drag", tick)

@@ -1,9 +1,9 @@
 """Drag laws F(solid_fraction, reynolds) of one sphere in a suspension, for model A.
 
 The drag force of a sphere is f = 3 pi mu d phi F (u - v) with phi = 1 - solid_fraction and Reynolds number
-rho phi |u - v| d / mu. Laws published for the total force of the fluid (Tenneti, Koch-Hill) are multiplied by phi here, because
-model A adds the pressure gradient separately. Every law takes and returns arrays, is finite at Reynolds number zero (Stokes),
-and may be replaced by a function of your own with the same two arguments.
+rho phi |u - v| d / mu. Laws published for the total force of the fluid (Tenneti, Koch-Hill) are multiplied by phi here,
+because model A adds the pressure gradient separately. Every law takes and returns arrays, is finite at Reynolds number zero
+(Stokes), and may be replaced by a function of your own with the same two arguments.
 """
 import numpy as np
 
@@ -38,7 +38,8 @@ def koch_hill(solid_fraction, reynolds):
     """Koch & Hill, Annu. Rev. Fluid Mech. 33 (2001) 619, and Hill, Koch & Ladd, J. Fluid Mech. 448 (2001) 243."""
     s, phi = solid_fraction, 1 - solid_fraction
     safe = np.maximum(s, 1e-300)
-    dilute = (1 + 3 * np.sqrt(s / 2) + 135 / 64 * s * np.log(safe) + 16.14 * s) / (1 + 0.681 * s - 8.48 * s ** 2 + 8.16 * s ** 3)
+    dilute = (1 + 3 * np.sqrt(s / 2) + 135 / 64 * s * np.log(safe) + 16.14
+              * s) / (1 + 0.681 * s - 8.48 * s ** 2 + 8.16 * s ** 3)
     still = np.where(s < 0.4, dilute, 10 * s / phi ** 3)
     return phi * (still + 0.5 * (0.0673 + 0.212 * s + 0.0232 / phi ** 5) * np.maximum(reynolds, 0.0))
 
@@ -80,5 +81,6 @@ def _single_sphere(reynolds):
     return np.where(reynolds < 1000, 1 + 0.15 * np.minimum(reynolds, 1000) ** 0.687, 0.44 * reynolds / 24)
 
 
-LAWS = {law.__name__: law for law in (beetstra, tang, tenneti, koch_hill, di_felice, wen_yu, ergun, gidaspow, schiller_naumann,
+LAWS = {law.__name__: law for law in (beetstra, tang, tenneti, koch_hill, di_felice, wen_yu, ergun, gidaspow,
+                                      schiller_naumann,
                                       stokes)}

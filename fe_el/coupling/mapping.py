@@ -1,4 +1,5 @@
-"""Mapping between particles and cells: which share w_ij of particle i belongs to cell j. The shares of a particle sum to one."""
+"""Mapping between particles and cells: which share w_ij of particle i belongs to cell j. The shares of a particle sum to
+one."""
 import numpy as np
 from mpi4py import MPI
 from numba import njit
@@ -44,13 +45,15 @@ def _inside(barycentric, c, x, y, z):
     """Whether a point is in cell c, without a branch."""
     inside = True
     for f in range(barycentric.shape[1]):
-        inside &= barycentric[c, f, 0] * x + barycentric[c, f, 1] * y + barycentric[c, f, 2] * z + barycentric[c, f, 3] >= INSIDE
+        value = barycentric[c, f, 0] * x + barycentric[c, f, 1] * y + barycentric[c, f, 2] * z + barycentric[c, f, 3]
+        inside &= value >= INSIDE
     return inside
 
 
 @njit(cache=True, fastmath=FAST)
 def _outside(barycentric, c, r, points, cuts, cut, at, low, out, facet):
-    """Points of a sphere outside its cell: fills ``out`` and the facet that each is farthest beyond; returns their number."""
+    """Points of a sphere outside its cell: fills ``out`` and the facet that each is farthest beyond; returns their
+    number."""
     size = points.shape[1]
     for s in range(size):
         low[s] = INSIDE
@@ -131,11 +134,13 @@ class SatellitePoints(ListedShares):
         super().__init__()
         self.points = isotropic_points() if points is None else np.ascontiguousarray(points, float)
         if self.points.ndim != 2 or self.points.shape[1] != 3 or not (np.linalg.norm(self.points, axis=1) <= 1).all():
-            raise ValueError(f"The satellite points have shape {self.points.shape}; give points (points, 3) inside a sphere of "
+            raise ValueError(f"The satellite points have shape {self.points.shape}; give points (points, 3) inside a sphere "
+                             f"of "
                              "radius one.")
 
     def prepare(self, cells, cell, position, radius):
-        """Find the shares of particles at ``position`` with centre in ``cell``: entries start[i]:start[i+1] of particle i."""
+        """Find the shares of particles at ``position`` with centre in ``cell``: entries start[i]:start[i+1] of particle
+        i."""
         n = len(cell)
         self._reserve(n, n * len(self.points) + 1)
         _shares(cells.barycentric, cells.neighbour, cells.shift, cell, position, radius, np.ascontiguousarray(self.points.T),

@@ -1,7 +1,8 @@
 """Over-filled cells hand their excess to neighbours by a linear map that is its own record, so its transpose exists.
 
 The excess flows like a potential flow: with fluxes g (s_c - s_n) between neighbours, s is the least potential, not negative,
-with which every cell fits; s is zero where a cell has room left. That is an obstacle problem. Its solution is unique, depends
+with which every cell fits; s is zero where a cell has room left. That is an obstacle problem. Its solution is unique,
+depends
 continuously on the contents, and does not depend on any order; fluxes go from high potentials to low ones, so what a cell
 hands on is, in the order of the potential, a fraction of all that it ever held.
 """

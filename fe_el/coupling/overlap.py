@@ -10,7 +10,8 @@ FAST = {"contract", "reassoc", "nsz", "arcp"}
 BALL = 4 * np.pi / 3  # volume of a sphere, in cubed radii
 NEGLIGIBLE = 1e-13  # of a sphere: cells that hold less are left out
 INWARDS = 1e-8  # of the way to the middle of its cell: how far centres are moved
-# Only _visit is put into its caller by numba: with _cut and _inside too it is a fifth faster, but takes 45 s in place of 10 to compile.
+# Only _visit is put into its caller by numba: with _cut and _inside too it is a fifth faster, but takes 45 s in place of 10
+# to compile.
 BLOCK = 256  # spheres whose edges are computed in one go
 TAN_EIGHTH = np.sqrt(2) - 1  # tangent of an eighth of pi
 
@@ -96,7 +97,8 @@ def _cut(plane, corner, c, f, x, y, z, r, work, touched, edge, e):
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _take_edges(edge, facet, number, beyond):
-    """Take from the part beyond each facet's plane what lies beyond its edges: the part in the cone through the facet is left.
+    """Take from the part beyond each facet's plane what lies beyond its edges: the part in the cone through the facet is
+    left.
 
     Per edge: the part of a unit sphere beyond a plane at distance h, in the directions between a piece of a line in it and
     farther out. The line is t from the foot of the centre in the plane, the piece lies from ``low`` to ``high`` along it and
@@ -120,7 +122,8 @@ def _take_edges(edge, facet, number, beyond):
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
-def _visit(plane, corner, neighbour, shift, slot, place, r, number, index, work, list_of, edge, facet, entry, beyond, count, e):
+def _visit(plane, corner, neighbour, shift, slot, place, r, number, index, work, list_of, edge, facet, entry, beyond, count,
+           e):
     """Walk from a sphere's cell through the facets that it touches: the cells go to ``index``, from ``number`` on.
 
     Returns:
@@ -262,8 +265,10 @@ def scratch_for(limit):
 class OverlapVolume(ListedShares):
     """Shares by overlap: w_ij is the part of particle i's sphere inside the mesh that lies in cell j, exactly.
 
-    Continuous in place and time, without points and axes, for particles of any size beside the cells. In two dimensions the spheres stand in prisms above the triangles. See
-    Strobl, Formella & Poeschel, J. Comput. Phys. 311 (2016) 158, for overlaps by inclusion and exclusion; here each facet that
+    Continuous in place and time, without points and axes, for particles of any size beside the cells. In two dimensions the
+    spheres stand in prisms above the triangles. See
+    Strobl, Formella & Poeschel, J. Comput. Phys. 311 (2016) 158, for overlaps by inclusion and exclusion; here each facet
+    that
     a sphere touches is computed once, for the two cells beside it.
     """
 
@@ -273,14 +278,16 @@ class OverlapVolume(ListedShares):
         self._overlap_shares = Direct(overlap_shares)
 
     def prepare(self, cells, cell, position, radius):
-        """Find the shares of particles at ``position`` with centre in ``cell``: entries start[i]:start[i+1] of particle i."""
+        """Find the shares of particles at ``position`` with centre in ``cell``: entries start[i]:start[i+1] of particle
+        i."""
         n, done = len(cell), 0
         if self._barycentric is not cells.barycentric:
             self._barycentric, (self._plane, self._neighbour) = cells.barycentric, facet_planes(cells)
             self._slot = np.full(len(cells.volume), -1, np.int32)
         self._reserve(n, n + len(self._place) + 1)
         while done < n:
-            done = self._overlap_shares((self._plane, cells.corner, self._neighbour, cells.shift), self._slot, self._place, self._scratch,
+            done = self._overlap_shares((self._plane, cells.corner, self._neighbour, cells.shift), self._slot, self._place,
+                                        self._scratch,
                                   (cell, position, radius), done, self._start, self._cell, self._weight)
             if done < n and self._start[done] + len(self._place) < len(self._cell):
                 self._place, self._scratch = np.empty((2 * len(self._place), 3)), scratch_for(2 * len(self._place))

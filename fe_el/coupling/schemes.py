@@ -32,9 +32,9 @@ class Exchange(NamedTuple):
 class Conservative:
     """Exact relaxation of every particle over the step; what particles gain the fluid loses, to round-off, for any step.
 
-    dv/dt = g_i + (beta_i / rho_p) (u - v) with constant u and g_i (all but drag) has the drag impulse V_i beta'_i dt (u - v*_i)
-    with a_i = dt beta_i / rho_p, beta'_i = rho_p (1 - exp(-a_i)) / dt and v*_i = v_i + g_i dt (1 / (1 - exp(-a_i)) - 1 / a_i).
-    So A_j = sum w_ij V_i beta'_i / V_j, B_j = sum w_ij V_i beta'_i v*_i / V_j, and particle i then receives exactly
+    dv/dt = g_i + (beta_i / rho_p) (u - v) with constant u and g_i (all but drag) has the drag impulse V_i beta'_i dt (u -
+    v*_i) with a_i = dt beta_i / rho_p, beta'_i = rho_p (1 - exp(-a_i)) / dt and v*_i = v_i + g_i dt (1 / (1 - exp(-a_i)) - 1
+    / a_i). So A_j = sum w_ij V_i beta'_i / V_j, B_j = sum w_ij V_i beta'_i v*_i / V_j, and particle i then receives exactly
     V_i beta'_i (sum_j w_ij u_j - v*_i) with the new u. The settling velocity is exact at any step, and so is the drag on a
     particle that is held, whose beta'_i is beta_i.
     """
@@ -61,7 +61,8 @@ class Conservative:
 
 
 class Explicit:
-    """Drag from the old velocities: A = 0, B = -sum w F_i / V. Unstable beyond 2 tau_f at the largest local solid fraction."""
+    """Drag from the old velocities: A = 0, B = -sum w F_i / V. Unstable beyond 2 tau_f at the largest local solid
+    fraction."""
 
     relaxation_rate = 0.0  # the force is constant over the step
 
@@ -99,7 +100,8 @@ class Implicit(Explicit):
 
 
 class ImplicitFromForce(Implicit):
-    """Eq. 8 with the coefficient that eq. 7 gives from the known force of eq. 6, A = |force| / |u - <v>|, as in CFDEMcoupling.
+    """Eq. 8 with the coefficient that eq. 7 gives from the known force of eq. 6, A = |force| / |u - <v>|, as in
+    CFDEMcoupling.
 
     It differs from ``implicit`` where particles see another velocity than the cell's mean. Momentum drifts, the more so with
     ``fluid_velocity="linear"``, which is what the paper has.

@@ -25,7 +25,8 @@ def _to_cells(dofs, values, out):
 
 @njit(cache=True, fastmath=FAST)
 def _chebyshev(start, column, value, inverse_diagonal, b, x_old, x, new, first, second, owned):
-    """new = x + first (x - x_old) + second D^-1 (b - H x) on the owned rows, once for each ``first``; components in pairs."""
+    """new = x + first (x - x_old) + second D^-1 (b - H x) on the owned rows, once for each ``first``; components in
+    pairs."""
     k = b.shape[1]
     for step in range(len(first)):
         for i in range(owned):
@@ -144,7 +145,8 @@ class HelmholtzSmoothing:
         at_once = len(self.first) if self.nodes.comm.size == 1 else 1
         for i in range(0, len(self.first), at_once):
             part = slice(i, i + at_once)
-            _chebyshev(self.start, self.column, self.value, inverse, load, x_old, self.halo.forward(x), new, self.first[part],
+            _chebyshev(self.start, self.column, self.value, inverse, load, x_old, self.halo.forward(x), new,
+                       self.first[part],
                        self.second[part], n)
             for _ in self.first[part]:
                 x_old, x, new = x, new, x_old

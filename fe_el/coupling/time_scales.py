@@ -66,7 +66,8 @@ class Advice(NamedTuple):
     sentence: str
 
 
-def advice(diameter, particle_density, fluid_density, viscosity, solid_fraction, speed, cell_size, law, largest_solid_fraction=0.6,
+def advice(diameter, particle_density, fluid_density, viscosity, solid_fraction, speed, cell_size, law,
+           largest_solid_fraction=0.6,
            contact_time=np.inf):
     """Which scheme and step to take.
 
@@ -82,7 +83,8 @@ def advice(diameter, particle_density, fluid_density, viscosity, solid_fraction,
         ValueError: for numbers that are not positive.
     """
     for name, value in (("diameter", diameter), ("particle density", particle_density), ("fluid density", fluid_density),
-                        ("viscosity", viscosity), ("solid fraction", solid_fraction), ("speed", speed), ("cell size", cell_size)):
+                        ("viscosity", viscosity), ("solid fraction", solid_fraction), ("speed", speed),
+                        ("cell size", cell_size)):
         if not value > 0:
             raise ValueError(f"The {name} is {value}; it must be greater than zero.")
     slip = homogeneous_slip(diameter, particle_density, fluid_density, viscosity, solid_fraction, law)
@@ -96,7 +98,8 @@ def advice(diameter, particle_density, fluid_density, viscosity, solid_fraction,
         scheme, why = "explicit", "drag is slow against the flow, so any scheme will do"
     else:
         scheme, why = "conservative", f"explicit drag would need steps below {limit:.2g} s"
-    sub = "" if contact_time > 50 * accurate else f" Contacts of {contact_time:.2g} s need about {50 * accurate / contact_time:.0f} " \
+    sub = "" if contact_time > 50 * accurate else \
+        f" Contacts of {contact_time:.2g} s need about {50 * accurate / contact_time:.0f} " \
         "sub-steps."
     return Advice(tau_p, tau_f, tau_c, limit, float(contact_time), scheme, accurate,
                   f"Use scheme='{scheme}' with steps of about {accurate:.2g} s: {why}.{sub}")

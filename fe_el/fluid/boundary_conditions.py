@@ -61,20 +61,27 @@ class Boundaries:
                                                  self.volume, self.node_halo, self.nodes)
         return self._facets[group]
 
-    def _set(self, kind, groups, *what):
-        """Give groups a condition, in place of what they had."""
+    @staticmethod
+    def _numbers(groups):
+        """The groups as a list of int."""
         groups = np.atleast_1d(np.asarray(groups))
         if groups.dtype.kind not in "iu" or groups.ndim != 1 or not groups.size:
             raise ValueError(f"The boundary groups are {groups.tolist()}; give a whole number or a list of whole numbers.")
-        for group in groups.tolist():
+        return groups.tolist()
+
+    def _set(self, kind, groups, *what):
+        """Give groups a condition, in place of what they had."""
+        for group in self._numbers(groups):
             self._conditions[group] = kind, self.boundary(group), *what
         self.inlets, self.outlets, self.no_slip, self.slip = (
-            [tuple(c[1:]) for c in self._conditions.values() if c[0] == k] for k in ("velocity", "pressure", "no slip", "slip"))
+            [tuple(c[1:]) for c in self._conditions.values() if c[0] == k] for k in ("velocity", "pressure", "no slip",
+                                                                                     "slip"))
         self.ready = False
 
     def set_velocity(self, groups, value):
         """Superficial velocity on inlets: d numbers, or a function (time, position (points, 3)) -> (points, d)."""
-        velocity_at(value, 0.0, np.zeros((1, 3)) if not callable(value) else self.node_position, self.dimension)
+        for group in self._numbers(groups):
+            velocity_at(value, 0.0, self.boundary(group).centre, self.dimension)
         self._set("velocity", groups, value)
 
     def set_pressure(self, groups, value=0.0):
@@ -88,19 +95,21 @@ class Boundaries:
 
         Args:
             groups: one or several boundary groups.
-            velocity: interstitial velocity of the wall along itself [m/s]: d numbers, or a function (time, position (points, 3))
+            velocity: interstitial velocity of the wall along itself [m/s]: d numbers, or a function (time, position (points,
+                3))
                 -> (points, d); absent: at rest. Only its part along the wall counts.
             law: wall law of turbulent layers, for instance :class:`Spalding`; absent: the layer is resolved, or laminar.
 
         Raises:
             ValueError: for a velocity that leads through the wall.
         """
-        for group in np.atleast_1d(groups).tolist() if velocity is not None else ():
+        for group in self._numbers(groups) if velocity is not None else ():
             facets = self.boundary(group)
             through = (velocity_at(velocity, self.time, facets.centre, self.dimension) * facets.area_normal).sum(1)
             size = np.linalg.norm(velocity_at(velocity, self.time, facets.centre, self.dimension), axis=1)
             bad = np.abs(through) > 0.2 * size * np.linalg.norm(facets.area_normal, axis=1) + 1e-300
-            message = (f"The velocity of no-slip wall {group} leads through the wall at {facets.centre[bad][0].tolist()}; give a "
+            message = (f"The velocity of no-slip wall {group} leads through the wall at {facets.centre[bad][0].tolist()}; "
+                       f"give a "
                        "velocity along the wall, or use set_velocity for fluid that flows in.") if bad.any() else None
             raise_everywhere(self.comm, ValueError, message)
         self._set("no slip", groups, velocity, law)
@@ -126,13 +135,15 @@ class Boundaries:
         self.wall_friction = WallFriction(self, self.no_slip) if self.no_slip else None
 
     def check_closed(self, dt):
-        """Raise ``ValueError`` if more fluid comes into a domain without outlet than room for it: by inlets, sources, particles."""
+        """Raise ``ValueError`` if more fluid comes into a domain without outlet than room for it: by inlets, sources,
+        particles."""
         made, size = cell_kernels.totals(self.supply, self.volume)
         come = self.inflow.sum()
         sums = self.comm.allreduce(np.array([-come, -made, abs(come) + size, self.volume.sum()]))
         net = sums[0] + sums[1]
         if abs(net) > 1e-6 * sums[2] + 1e-10 * sums[3] / dt:
-            raise ValueError(f"At time {self.time:g} s inlets let {sums[0]:g} m^3/s into a domain without outlet, and particles and mass "
+            raise ValueError(f"At time {self.time:g} s inlets let {sums[0]:g} m^3/s into a domain without outlet, and "
+                             f"particles and mass "
                              f"sources displace {sums[1]:g} m^3/s, together {net:g} m^3/s; add set_pressure(group).")
 
     def set_boundary_values(self, phi):
@@ -171,8 +182,10 @@ class Boundaries:
     def boundary_force(self, group):
         """Force of the fluid on a boundary group, by pressure and by friction: two arrays (d,) [N].
 
-        Friction is what the terms of the wall, and what keeps its nodes from moving through it, take from the fluid's momentum
-        in the step; where groups meet, each node's part goes to them by their facets. On a group of inlets, or any other than
+        Friction is what the terms of the wall, and what keeps its nodes from moving through it, take from the fluid's
+        momentum
+        in the step; where groups meet, each node's part goes to them by their facets. On a group of inlets, or any other
+        than
         no-slip and slip walls, there is no friction. Call it after :meth:`advance`.
 
         Raises:

@@ -6,8 +6,8 @@ from fe_el.fluid.for_each_dimension import FAST
 
 @njit(cache=True, fastmath=FAST)
 def begin(density, dt, phi0, phi, drag, volume, rate, mass0, mass1, damping):
-    """Rate of the void fraction, fluid masses before and after, and the part of the velocity that drag takes; whether any rate is
-    not zero."""
+    """Rate of the void fraction, fluid masses before and after, and the part of the velocity that drag takes; whether any
+    rate is not zero."""
     moves = False
     for c in range(len(phi)):
         rate[c] = (phi[c] - phi0[c]) / dt

@@ -53,7 +53,8 @@ class CellsAndNodes:
             near = (2 / 3, 0.58541019662496845)[self.dimension - 2]  # the share of the nearest corner
             far = (1 - near) / self.dimension
             rest = far * self.corner.sum(1)
-            value = sum(np.asarray(value(now, rest + (near - far) * self.corner[:, k]), float) for k in range(corners)) / corners
+            value = sum(np.asarray(value(now, rest + (near - far) * self.corner[:, k]),
+                                   float) for k in range(corners)) / corners
         value = np.asarray(value, float)
         if not np.isfinite(value).all():
             raise ValueError(f"A source at time {self.time:g} is not finite; give finite numbers.")

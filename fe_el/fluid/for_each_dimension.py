@@ -9,14 +9,17 @@ D, M = 3, 4  # dimension and corners of a cell; :func:`by_dimension` sets them i
 
 
 def by_dimension(function):
-    """A function whose first argument is ``dofs`` (cells, corners), compiled for each dimension with D and M as constants."""
+    """A function whose first argument is ``dofs`` (cells, corners), compiled for each dimension with D and M as
+    constants."""
     versions = {}
     for d in (2, 3):
         copy = FunctionType(function.__code__, {**function.__globals__, "D": d, "M": d + 1}, function.__name__)
-        copy.__qualname__, copy.__module__ = f"{function.__qualname__}_{d}d", function.__module__  # names of the cache's files
+        # names of the cache's files
+        copy.__qualname__, copy.__module__ = f"{function.__qualname__}_{d}d", function.__module__
         versions[d + 1] = njit(cache=True, fastmath=FAST)(copy)
 
     def call(dofs, *arguments):
-        return versions[dofs.shape[1]](dofs.view(np.uint32), *arguments)  # without a sign no index is checked for being negative
+        # without a sign no index is checked for being negative
+        return versions[dofs.shape[1]](dofs.view(np.uint32), *arguments)
     call.__doc__, call.__name__ = function.__doc__, function.__name__
     return call

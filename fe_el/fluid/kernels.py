@@ -16,14 +16,15 @@ def fading_rate(speed_squared, h, nu, viscous):
 
 @njit(cache=True, fastmath=FAST)
 def relaxation_rate(speed_squared, h, nu):
-    """Rate at which nodes take over what the cells around them share [1/s]; slow in viscous flow, where the nodes need no help."""
+    """Rate at which nodes take over what the cells around them share [1/s]; slow in viscous flow, where the nodes need no
+    help."""
     return 4.0 * np.sqrt(speed_squared) / h + nu / (h * h)
 
 
 @njit(cache=True, fastmath=FAST)
 def relaxation_rate_at_wall(speed_squared, h, nu):
-    """The same for nodes on no-slip walls: the cells lie on one side of them, so where the mesh resolves the layer what these share
-    is no error of the nodes; where convection is far faster than viscosity the nodes follow as others do."""
+    """The same for nodes on no-slip walls: the cells lie on one side of them, so where the mesh resolves the layer what
+    these share is no error of the nodes; where convection is far faster than viscosity the nodes follow as others do."""
     convection = 4.0 * np.sqrt(speed_squared) / h
     return convection * convection / (convection + 16.0 * nu / (h * h) + 1e-300)
 
@@ -45,8 +46,9 @@ def trust(convective, fading, damping):
     """Part of a lag to be taken: less in steps that are long against the fading by convection (``convective``: two Courant
     numbers).
 
-    There the gain of the last step no longer tells that of this one, and energy would grow. With drag (``damping`` = A dt / (rho
-    phi + A dt)) steps may be longer. Where nearly all of the ``fading`` is of viscosity it does no harm in steps of any length.
+    There the gain of the last step no longer tells that of this one, and energy would grow. With drag (``damping`` = A dt /
+    (rho phi + A dt)) steps may be longer. Where nearly all of the ``fading`` is of viscosity it does no harm in steps of any
+    length.
     """
     ratio = convective / (CUT + (16.0 - CUT) * damping)
     ratio *= ratio
@@ -59,15 +61,15 @@ def trust(convective, fading, damping):
 def mass_and_misfit(dofs, weight, q, u, h, nu, dt, damping, gain, nodal_gain, fades, upwind, at_wall, sums, theta, lag):
     """What relaxation needs at the nodes, in ``sums`` (nodes, 2 + 2 d), and what is left of what the nodes do not carry.
 
-    The sums are those of the cell masses; of mass times the part of the misfit that is taken over in a step; of mass times the
-    misfit q - mean u, as in a least-squares fit (with ``upwind`` of mass times q alone); and of what is taken over of the misfit
-    that comes about during the step: what drag and pressure add (gain - mean nodal gain) less what ``fades``, as of the last step.
-    ``theta`` gets the part of what the nodes do not carry that is left after the step, ``lag`` the time of the step in which what
-    drag and pressure add does not fade, as it acts at the end.
+    The sums are those of the cell masses; of mass times the part of the misfit that is taken over in a step; of mass times
+    the misfit q - mean u, as in a least-squares fit (with ``upwind`` of mass times q alone); and of what is taken over of
+    the misfit that comes about during the step: what drag and pressure add (gain - mean nodal gain) less what ``fades``, as
+    of the last step. ``theta`` gets the part of what the nodes do not carry that is left after the step, ``lag`` the time of
+    the step in which what drag and pressure add does not fade, as it acts at the end.
 
-    In steady viscous flow a force that acts in one cell raises its velocity by force / (rho VISCOUS nu / h^2) beside what the
-    nodes carry. With 48 this lies, on tetrahedra, between the self-response of Taylor-Hood elements on the same mesh (70 to 80)
-    and that of a cube of the cell's volume (30); on triangles larger rates make steady pressures worse.
+    In steady viscous flow a force that acts in one cell raises its velocity by force / (rho VISCOUS nu / h^2) beside what
+    the nodes carry. With 48 this lies, on tetrahedra, between the self-response of Taylor-Hood elements on the same mesh (70
+    to 80) and that of a cube of the cell's volume (30); on triangles larger rates make steady pressures worse.
     """
     n = len(dofs)
     share = 1.0 / M
@@ -123,13 +125,15 @@ def scatter(dofs, total, out):
 
 
 @by_dimension
-def transport_matrix(dofs, place, grad, volume, density, stress, dt, phi1, rate, flux, open_node, thetas, upwind, u, values, rhs):
-    """Add lumped mass, skew-symmetric convection and viscosity to ``values``; one theta step of the latter two, theta by cell.
+def transport_matrix(dofs, place, grad, volume, density, stress, dt, phi1, rate, flux, open_node, thetas, upwind, u, values,
+                     rhs):
+    """Add lumped mass, skew-symmetric convection and viscosity to ``values``; one theta step of the latter two, theta by
+    cell.
 
-    ``stress`` is the cell's share of the stress times the viscosity. The void fraction's rate enters as the divergence that the
-    flux really has (equal to it up to the solver's tolerance), so that momentum is kept to round-off; nodes of outlets, where
-    continuity is not imposed, take the rate itself. What acts on the old velocity u goes to ``rhs``. With ``upwind``, what
-    couples two nodes with the wrong sign goes to the diagonal: no node is repelled by another.
+    ``stress`` is the cell's share of the stress times the viscosity. The void fraction's rate enters as the divergence that
+    the flux really has (equal to it up to the solver's tolerance), so that momentum is kept to round-off; nodes of outlets,
+    where continuity is not imposed, take the rate itself. What acts on the old velocity u goes to ``rhs``. With ``upwind``,
+    what couples two nodes with the wrong sign goes to the diagonal: no node is repelled by another.
     """
     n = len(dofs)
     share = 1.0 / M
@@ -197,11 +201,11 @@ def add_elements(dofs, place, elements, values):
 
 @by_dimension
 def memory(dofs, mass0, mass1, q, u, dt, theta, lag, gain, nodal_gain, fades, kept, mass, defect):
-    """What the nodes do not carry, r = q - mean u, fades at a rate k; ``defect`` gets the momentum that lost, per node, ``fades``
-    the change per time, ``mass`` the nodal mass at the end of the step.
+    """What the nodes do not carry, r = q - mean u, fades at a rate k; ``defect`` gets the momentum that lost, per node,
+    ``fades`` the change per time, ``mass`` the nodal mass at the end of the step.
 
-    Drag and pressure feed r with a = gain - mean nodal gain, as of the last step. They act after the fading, over a whole step;
-    what fades of that meanwhile, lag times a, is taken off beforehand. So r = a / k in a steady state.
+    Drag and pressure feed r with a = gain - mean nodal gain, as of the last step. They act after the fading, over a whole
+    step; what fades of that meanwhile, lag times a, is taken off beforehand. So r = a / k in a steady state.
     """
     n = len(dofs)
     share = 1.0 / M
@@ -224,7 +228,8 @@ def memory(dofs, mass0, mass1, q, u, dt, theta, lag, gain, nodal_gain, fades, ke
 @by_dimension
 def exchange_system(dofs, grad, volume, density, dt, phi, part, supply, drag, source, body, u, correction, kept, q, diagonal,
                     weight, rhs):
-    """Cell velocities before the pressure, and the right-hand side of the Poisson equation that follows from eliminating them.
+    """Cell velocities before the pressure, and the right-hand side of the Poisson equation that follows from eliminating
+    them.
 
     Sets kept to the transported velocity and q to (rho phi/dt u_T + B + part f) / (rho phi/dt + A); ``part`` is the share of
     pressure gradient and body force f that the fluid takes, phi unless the step is one of several; ``weight`` is that of the
@@ -265,7 +270,8 @@ def poisson_matrix(dofs, place, grad, weight, values):
 
 @by_dimension
 def pressure_step(dofs, grad, volume, density, dt, phi, part, diagonal, p, transported, q, gain, change):
-    """Subtract part grad p / (rho phi/dt + A) from q; ``gain`` is the acceleration, ``change`` the momentum per time and node."""
+    """Subtract part grad p / (rho phi/dt + A) from q; ``gain`` is the acceleration, ``change`` the momentum per time and
+    node."""
     n = len(dofs)
     share = 1.0 / M
     for c in range(n):

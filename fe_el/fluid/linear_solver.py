@@ -55,7 +55,8 @@ class NodalMatrix:
         kernels.add_elements(self.dofs, self.place, elements, self.values)
 
     def fix(self, nodes, lift, boundary):
-        """Replace rows and columns of fixed nodes (a mask) by a diagonal; what columns carried of ``boundary`` goes to ``lift``."""
+        """Replace rows and columns of fixed nodes (a mask) by a diagonal; what columns carried of ``boundary`` goes to
+        ``lift``."""
         if self._nodes is not nodes:
             at = np.flatnonzero(nodes[self._row] | nodes[self.columns])
             self._nodes, self._at, self._kept = nodes, at.astype(np.uint32), np.empty(len(at))
@@ -167,7 +168,8 @@ class LinearSolver:
                 return self.x.array
         for method, preconditioner in FALLBACKS[self.ksp.getType() != "cg":3 - bool(self.nullspace)]:
             ksp = self._fallback(method, preconditioner)
-            done, reason, history = self._try(ksp, np.zeros_like(guess)), ksp.getConvergedReason(), ksp.getConvergenceHistory()
+            done = self._try(ksp, np.zeros_like(guess))
+            reason, history = ksp.getConvergedReason(), ksp.getConvergenceHistory()
             ksp.destroy()
             if done:
                 self.fallbacks, self.resort = self.fallbacks + 1, self.resort or TRUCE
@@ -177,7 +179,8 @@ class LinearSolver:
             return self.solve(rhs, guess)
         history = ", ".join(f"{r:.3g}" for r in history[-6:])
         raise SolverDiverged(f"The {self.name} solve failed (PETSc reason {reason}) after {self.iterations} "
-                             f"iterations for a right-hand side of {self.b.norm():g}; last residuals {history}. Use a smaller "
+                             f"iterations for a right-hand side of {self.b.norm():g}; last residuals {history}. Use a "
+                             f"smaller "
                              "time step or check the void fraction and drag fields.")
 
     def _try(self, ksp, guess):

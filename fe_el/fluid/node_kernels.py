@@ -7,8 +7,8 @@ from fe_el.fluid.for_each_dimension import FAST
 
 @njit(cache=True, fastmath=FAST)
 def relaxed(start, sums, upwind, whole, mass, out):
-    """Nodal velocity that has taken over its part of the misfit (all of it if ``whole``), and what fed it, from the ``sums`` of
-    :func:`kernels.mass_and_misfit`; ``mass`` gets the nodal mass."""
+    """Nodal velocity that has taken over its part of the misfit (all of it if ``whole``), and what fed it, from the ``sums``
+    of :func:`kernels.mass_and_misfit`; ``mass`` gets the nodal mass."""
     parts = start.shape[1]
     for i in range(len(start)):
         mass[i] = sums[i, 0]
@@ -23,8 +23,8 @@ def relaxed(start, sums, upwind, whole, mass, out):
 
 @njit(cache=True, fastmath=FAST)
 def transport_load(mass, u, last_change, force, explicit, lift, dt, held, boundary, diagonal, rhs, system, guess):
-    """Right-hand side of transport (nodes, d), that of the systems of each component (d, owned nodes) with fixed values, and a
-    guess of the solutions."""
+    """Right-hand side of transport (nodes, d), that of the systems of each component (d, owned nodes) with fixed values, and
+    a guess of the solutions."""
     owned = len(diagonal)
     for i in range(len(u)):
         for k in range(u.shape[1]):
@@ -40,7 +40,8 @@ def transport_load(mass, u, last_change, force, explicit, lift, dt, held, bounda
 
 @njit(cache=True, fastmath=FAST)
 def close_transport(mass, rhs, balance, defect, dt, held, new, correction):
-    """Nodal velocity from the balance of momentum itself, in ``new`` but for held nodes; ``balance`` becomes the reaction."""
+    """Nodal velocity from the balance of momentum itself, in ``new`` but for held nodes; ``balance`` becomes the
+    reaction."""
     for i in held:
         for k in range(new.shape[1]):
             correction[i, k] = new[i, k]
@@ -91,8 +92,8 @@ def take_force(u, force, mass, dt, out):
 
 @njit(cache=True, fastmath=FAST)
 def after_exchange(u, force, correction, mass, dt, new, gain):
-    """Nodal velocity after the force; ``gain`` is what raises the nodes against their cells per time: the force, and the momentum
-    that fading took off the cells."""
+    """Nodal velocity after the force; ``gain`` is what raises the nodes against their cells per time: the force, and the
+    momentum that fading took off the cells."""
     for i in range(len(u)):
         for k in range(u.shape[1]):
             rise = force[i, k] / mass[i] if mass[i] != 0.0 else 0.0
@@ -102,7 +103,8 @@ def after_exchange(u, force, correction, mass, dt, new, gain):
 
 @njit(cache=True, fastmath=FAST)
 def extrapolate(past, last, order, guess):
-    """Polynomial of the given order through the ``last`` values and those ``past`` (nodes, 3; latest first), one step further."""
+    """Polynomial of the given order through the ``last`` values and those ``past`` (nodes, 3; latest first), one step
+    further."""
     for i in range(len(guess)):
         a, b, c = past[i, 0], past[i, 1], past[i, 2]
         if order == 0:
@@ -117,7 +119,8 @@ def extrapolate(past, last, order, guess):
 
 @njit(cache=True, fastmath=FAST)
 def misses(past, last, new, out):
-    """Squares of what the extrapolations of order 0 to 3 would have missed of ``new``, summed; ``last`` then joins the ``past``."""
+    """Squares of what the extrapolations of order 0 to 3 would have missed of ``new``, summed; ``last`` then joins the
+    ``past``."""
     out[:] = 0.0
     for i in range(len(last)):
         a, b, c = past[i, 0], past[i, 1], past[i, 2]
@@ -139,8 +142,8 @@ def fix_entries(held, diagonal, values, rhs):
 
 @njit(cache=True)
 def fix_rows(at, row, column, fixed, values, kept, lift, boundary):
-    """Replace rows and columns of fixed nodes by a diagonal in the entries ``at``, which go to ``kept`` as they were; what columns
-    carried goes to ``lift``."""
+    """Replace rows and columns of fixed nodes by a diagonal in the entries ``at``, which go to ``kept`` as they were; what
+    columns carried goes to ``lift``."""
     for n in range(len(at)):
         i, j, value = row[n], column[n], values[at[n]]
         kept[n] = value
@@ -212,7 +215,8 @@ def take_normal(u, i, normal):
 
 @njit(cache=True, fastmath=FAST)
 def slip(u, nodes, normal, fixed, mass, rate, force):
-    """Take the normal part at slip walls, in place, and add what that took, mass times velocity times ``rate``, to ``force``."""
+    """Take the normal part at slip walls, in place, and add what that took, mass times velocity times ``rate``, to
+    ``force``."""
     for n in range(len(nodes)):
         i = nodes[n]
         if not fixed[i]:
@@ -233,8 +237,8 @@ def impose(u, slip, normal, held, boundary):
 
 @njit(cache=True)
 def pass_boundaries(nodes, owned, places, through, old, outside, part, values, rhs):
-    """What leaves through boundary nodes takes their value along, ``part`` of it implicit; what enters has the value ``outside``,
-    which becomes that of what leaves. Entries of the matrix of owned nodes lie at ``places``."""
+    """What leaves through boundary nodes takes their value along, ``part`` of it implicit; what enters has the value
+    ``outside``, which becomes that of what leaves. Entries of the matrix of owned nodes lie at ``places``."""
     for i in nodes:
         if through[i] > 0.0:
             outside[i] = old[i, 0]

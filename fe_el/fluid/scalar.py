@@ -13,10 +13,13 @@ from fe_el.fluid.work_arrays import WorkArrays
 class Scalar:
     """d(rho phi c)/dt + div(rho phi u c) = div(rho phi D grad c) + S, carried by the mass flux of a fluid.
 
-    The flux is that of the fluid's step, whose divergence is the change of the void fraction: so a constant stays constant, and
+    The flux is that of the fluid's step, whose divergence is the change of the void fraction: so a constant stays constant,
+    and
     the integral of rho phi c changes by sources and open boundaries only, both to the solver's tolerance. Time is of second
-    order where the fluid's is. With :class:`Upwind` in the fluid it never leaves the range of its start and boundaries. Where fluid
-    leaves, through whatever boundary, it takes its value along; where it enters it has that of :meth:`set_inflow`, without one
+    order where the fluid's is. With :class:`Upwind` in the fluid it never leaves the range of its start and boundaries.
+    Where fluid
+    leaves, through whatever boundary, it takes its value along; where it enters it has that of :meth:`set_inflow`, without
+    one
     what left there last (at the start: what is there).
 
     Args:
@@ -59,7 +62,8 @@ class Scalar:
         self.inflow.append((self.fluid.boundary(group), value))
 
     def _through_boundaries(self, dt, old, rhs):
-        """What fluid takes along through open boundaries, on the nodes there: implicit in half where time is of second order.
+        """What fluid takes along through open boundaries, on the nodes there: implicit in half where time is of second
+        order.
 
         The mass flux through a node is what its balance leaves, so a constant stays one to round-off.
         """
@@ -73,7 +77,9 @@ class Scalar:
         _, nodes, places = self._open
         if not (air.inlets or air.outlets):
             return
-        supply, through, scale = work.empty("supply_of_mass", air.num_cells), work.zeros("through", air.nodes), work.zeros("scale", air.nodes)
+        supply, through, scale = work.empty("supply_of_mass", air.num_cells), work.zeros("through",
+                                                                                         air.nodes), work.zeros("scale",
+                                                                                                                air.nodes)
         supply[:] = air.rate
         if air.mass_source is not None:
             supply -= air.at_cells(air.mass_source, (air.num_cells,), air.time - 0.5 * dt)
@@ -84,7 +90,8 @@ class Scalar:
             self.outside = old[:, 0].copy()
         for facets, value in self.inflow:
             self.outside[facets.nodes] = value(air.time) if callable(value) else value
-        node_kernels.pass_boundaries(nodes, air.owned_nodes, places, through, old, self.outside, 0.5 if air.second_order else 1.0,
+        node_kernels.pass_boundaries(nodes, air.owned_nodes, places, through, old, self.outside,
+                                     0.5 if air.second_order else 1.0,
                                      self.matrix.values, rhs)
 
     def advance(self, dt):
@@ -102,10 +109,13 @@ class Scalar:
         middle = air.time - 0.5 * dt if air.second_order else air.time
         share, stress = work.empty("share", air.num_cells), work.empty("stress", air.num_cells)
         cell_kernels.stress_of(phi0, phi1, air.second_order, air.density * self.diffusivity, False, share, stress)
-        kernels.transport_matrix(air.dofs, place, air.gradient, air.volume, air.density, stress, dt, phi1, air.rate, air.step_flux,
-                                 work.zeros("none", air.nodes), air.theta_of(self.diffusivity, dt), air.upwind, old, values, rhs)
+        kernels.transport_matrix(air.dofs, place, air.gradient, air.volume, air.density, stress, dt, phi1, air.rate,
+                                 air.step_flux,
+                                 work.zeros("none", air.nodes), air.theta_of(self.diffusivity, dt), air.upwind, old, values,
+                                 rhs)
         if self.source is not None:
-            supply = np.multiply(air.at_cells(self.source, (air.num_cells,), middle), air.volume, out=work.empty("supply", air.num_cells))
+            supply = np.multiply(air.at_cells(self.source, (air.num_cells,), middle), air.volume,
+                                 out=work.empty("supply", air.num_cells))
             kernels.scatter(air.dofs, supply[:, None], rhs)
         air.complete(rhs)
         self._through_boundaries(dt, old, rhs)
@@ -136,7 +146,8 @@ class Scalar:
         balance = work.zeros("balance", air.nodes, 1)
         self.matrix.subtract_product(new, balance)
         air.complete(balance)
-        node_kernels.close_transport(air.mass, load, balance, self._unmoved, dt, self._held, new, work.empty("no_correction", air.nodes, 1))
+        node_kernels.close_transport(air.mass, load, balance, self._unmoved, dt, self._held, new,
+                                     work.empty("no_correction", air.nodes, 1))
         self.value.x.array[:] = new[:, 0]
 
     def total(self):

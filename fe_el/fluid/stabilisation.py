@@ -1,4 +1,5 @@
-"""Stabilisation of convection, for flows that the mesh does not resolve; absent by default, as the scheme needs none to be stable."""
+"""Stabilisation of convection, for flows that the mesh does not resolve; absent by default, as the scheme needs none to be
+stable."""
 import numpy as np
 from numba import njit
 
@@ -57,8 +58,8 @@ def _streamline(dofs, place, grad, volume, flux, weight, mean, node_volume, valu
 class Streamline:
     """Diffusion along the stream of what the nodes' mean of the convection does not explain (orthogonal subscales).
 
-    tau (M . grad u - P(M . grad u), M . grad w) / (rho phi), tau = factor / (2 |u| / h + 4 nu / h^2): it vanishes with the mesh
-    faster than the error of the scheme, so the order stays two; momentum is kept. Codina (2002).
+    tau (M . grad u - P(M . grad u), M . grad w) / (rho phi), tau = factor / (2 |u| / h + 4 nu / h^2): it vanishes with the
+    mesh faster than the error of the scheme, so the order stays two; momentum is kept. Codina (2002).
 
     Args:
         factor (float): strength.
@@ -80,15 +81,16 @@ class Streamline:
         air.complete(mean)
         weight = air.work.empty("streamline", air.num_cells)
         _weights(flux, air.density, share, air.h, air.viscosity, self.factor, weight)
-        _streamline(air.dofs, matrix.place, air.gradient, air.volume, flux, weight, mean, air.node_volume, matrix.values, rhs)
+        _streamline(air.dofs, matrix.place, air.gradient, air.volume, flux, weight, mean, air.node_volume, matrix.values,
+                    rhs)
 
 
 class Upwind:
     """Upwinding, for jets and fronts that the mesh does not resolve: the matrix of transport becomes an M-matrix.
 
-    First order in space and time, and the nodes follow the plain mean of the cells. A step in a fluid without viscosity overshoots
-    by 2 % (47 % without it); what remains comes from the cells' own part of the velocity. A :class:`Scalar` of such a fluid does
-    not overshoot. Momentum is kept; energy is lost.
+    First order in space and time, and the nodes follow the plain mean of the cells. A step in a fluid without viscosity
+    overshoots by 2 % (47 % without it); what remains comes from the cells' own part of the velocity. A :class:`Scalar` of
+    such a fluid does not overshoot. Momentum is kept; energy is lost.
     """
 
     upwind = True

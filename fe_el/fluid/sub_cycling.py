@@ -7,8 +7,8 @@ class SubCycled:
     """Makes each step of a fluid in several, with drag coefficient and source held and the void fraction changing linearly.
 
     For steps whose Courant number is large: particles move and exchange once, the fluid follows in smaller steps. What
-    particles receive is the mean over these steps, and the fluid takes the share of the pressure gradient that belongs to the
-    void fraction of the end throughout, so momentum of fluid and particles stays exact.
+    particles receive is the mean over these steps, and the fluid takes the share of the pressure gradient that belongs to
+    the void fraction of the end throughout, so momentum of fluid and particles stays exact.
 
         air = fe_el.VolumeAveragedNavierStokes(...)
         steps = fe_el.SubCycled(air, 4)

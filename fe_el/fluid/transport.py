@@ -10,7 +10,8 @@ class Transport:
     """Convection and viscosity by the nodal velocity, of a fluid of cells and nodes."""
 
     def theta_of(self, diffusivity, dt):
-        """Implicit part (cells,) of transport: 1/2, and more where diffusion is so fast that half a step of it would only ring."""
+        """Implicit part (cells,) of transport: 1/2, and more where diffusion is so fast that half a step of it would only
+        ring."""
         if not self.second_order:
             theta = self.work.empty("implicit", self.num_cells)
             theta.fill(1.0)
@@ -25,7 +26,8 @@ class Transport:
         return self._thetas[key]
 
     def _mass_flux(self, dt, phi0, q, moves):
-        """Mass flux rho phi u of the step: carried on to its middle for second order, and closed if the void fraction moves."""
+        """Mass flux rho phi u of the step: carried on to its middle for second order, and closed if the void fraction
+        moves."""
         last, flux = self._last_flux, self.work.empty("flux", *q.shape)
         now = self.work.other("last_flux", last, *q.shape)
         part = 0.5 * dt / self.dt if self.time_order == 2 and last is not None and not self.upwind else 0.0
@@ -42,13 +44,16 @@ class Transport:
     def _relax(self, dt, q):
         """Stage 1: u <- u + a P(q - mean u) moves the nodes towards the least-squares fit of the cells.
 
-        a is nearly 1 - exp(-dt k) with a rate k of convection, and of viscosity but little: a rate, not a part per step, so that the
-        scheme converges with the step. With upwinding it is the plain mean of the cells, which stays in their range.
+        a is nearly 1 - exp(-dt k) with a rate k of convection, and of viscosity but little: a rate, not a part per step, so
+        that the scheme converges with the step. With upwinding it is the plain mean of the cells, which stays in their
+        range.
         """
         d, work = self.dimension, self.work
         start = work.zeros("start", self.nodes, d) if self.nodal_velocity is None else self.nodal_velocity
-        sums, u, self.mass0 = work.zeros("sums", self.nodes, 2 + 2 * d), work.empty("relaxed", self.nodes, d), work.empty("mass0", self.nodes)
-        kernels.mass_and_misfit(self.dofs, self.cell_mass0, q, start, self.h, self.viscosity / self.density, dt, self.damping, self.gain,
+        sums, u, self.mass0 = work.zeros("sums", self.nodes, 2 + 2 * d), work.empty("relaxed", self.nodes,
+                                                                                    d), work.empty("mass0", self.nodes)
+        kernels.mass_and_misfit(self.dofs, self.cell_mass0, q, start, self.h, self.viscosity / self.density, dt,
+                                self.damping, self.gain,
                                 self.nodal_gain, self.fades, self.upwind, self.at_wall, sums, self.theta, self.lag)
         self.complete(sums)
         node_kernels.relaxed(start, sums, self.upwind, self.nodal_velocity is None, self.mass0, u)
@@ -56,10 +61,12 @@ class Transport:
         return u
 
     def _fade(self, dt, q, u):
-        """What the nodes cannot represent fades at the rate of convection and viscosity; nodal sums of the momentum it lost."""
+        """What the nodes cannot represent fades at the rate of convection and viscosity; nodal sums of the momentum it
+        lost."""
         kept, defect = self.work.empty("kept", *q.shape), self.work.zeros("defect", self.nodes, self.dimension)
         self.mass = self.work.zeros("mass", self.nodes)
-        kernels.memory(self.dofs, self.cell_mass0, self.cell_mass, q, u, dt, self.theta, self.lag, self.gain, self.nodal_gain,
+        kernels.memory(self.dofs, self.cell_mass0, self.cell_mass, q, u, dt, self.theta, self.lag, self.gain,
+                       self.nodal_gain,
                        self.fades, kept, self.mass, defect)
         return kept, defect
 
@@ -73,13 +80,16 @@ class Transport:
 
     def _transport_step(self, dt, phi0, phi, flux, u, defect):
         """Stage 2: convection and viscosity of the nodal velocity, implicit, skew-symmetric, conserving momentum."""
-        d, work, own, place, values = self.dimension, self.work, self.owned_nodes, self._transport.place, self._transport.values
+        d, work, own = self.dimension, self.work, self.owned_nodes
+        place, values = self._transport.place, self._transport.values
         share, stress = self._stress(phi0, phi, u)
         self._stress_now = stress
         explicit, lift = work.zeros("explicit", self.nodes, d), work.zeros("lift", self.nodes, d)
         values.fill(0.0)
-        kernels.transport_matrix(self.dofs, place, self.gradient, self.volume, self.density, stress, dt, phi, self.rate, flux,
-                                 self.fixed_pressure, self.theta_of(self.viscosity / self.density, dt), self.upwind, u, values, explicit)
+        kernels.transport_matrix(self.dofs, place, self.gradient, self.volume, self.density, stress, dt, phi, self.rate,
+                                 flux,
+                                 self.fixed_pressure, self.theta_of(self.viscosity / self.density, dt), self.upwind, u,
+                                 values, explicit)
         if self.stabilisation is not None and not self.upwind:
             self.stabilisation(self, share, flux, u, self._transport, explicit)
         if self.wall_friction is not None:
@@ -93,7 +103,8 @@ class Transport:
         self._transport.release()
         self.transport_solver.new_values()
         rhs, system, guess = work.empty("rhs", self.nodes, d), work.empty("system", d, own), work.empty("guess", d, own)
-        node_kernels.transport_load(self.mass0, u, self.last_change, self.force, explicit, lift, dt, self.held, self.boundary_velocity,
+        node_kernels.transport_load(self.mass0, u, self.last_change, self.force, explicit, lift, dt, self.held,
+                                    self.boundary_velocity,
                                     self._transport.diagonal(), rhs, system, guess)
         new = work.empty("transported", self.nodes, d)
         for k in range(d):
@@ -126,7 +137,8 @@ class Transport:
     def _force_ahead(self, dt):
         """The last step's nodal force of drag and pressure; where walls hold the nodes, carried on to this step.
 
-        A wall takes its share of the force on a cell. With the last step's share that would be an error of first order in time.
+        A wall takes its share of the force on a cell. With the last step's share that would be an error of first order in
+        time.
         What is added is at most the force itself: no noise grows by it.
         """
         force, last, self.last_force = self.force, self.last_force, self.force

@@ -43,8 +43,8 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
     Attributes:
         velocity: DG0 vector Function, interstitial velocity u [m/s].
         pressure: P1 Function, of the middle of the step [Pa].
-        body_force: force per fluid volume [N/m^3]: d numbers, (cells, d), or a function (time, points (cells, 3)) of which the
-            cell means are taken in the middle of the step; ``None``: none.
+        body_force: force per fluid volume [N/m^3]: d numbers, (cells, d), or a function (time, points (cells, 3)) of which
+            the cell means are taken in the middle of the step; ``None``: none.
         mass_source: volume of fluid per volume and time [1/s], that comes in with the local velocity only if ``body_force``
             says so; a number, (cells,), or a function; ``None``: none.
 
@@ -88,7 +88,8 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         """What a step takes over from the last beside velocity and pressure, by name, before the first step."""
         n, d, nodes = self.num_cells, self.dimension, self.nodes
         none = dict.fromkeys(("void_fraction", "_last_flux", "nodal_velocity", "last_force"))
-        return {**none, "rate": np.zeros(n), "past_pressures": np.zeros((nodes, 3)), **{name: np.zeros((n, d)) for name in ("gain", "fades")},
+        return {**none, "rate": np.zeros(n), "past_pressures": np.zeros((nodes, 3)),
+                **{name: np.zeros((n, d)) for name in ("gain", "fades")},
                 **{name: np.zeros((nodes, d)) for name in ("force", "nodal_gain", "slip_force", "last_change")}}
 
     def set_initial_velocity(self, value):
@@ -116,7 +117,8 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         Args:
             fields: (void fraction, drag coefficient A, momentum source B): two DG0 Functions and a DG0 vector Function,
                 for instance ``Coupling.fields``; absent: single-phase flow.
-            pressure_share: part (cells,) of pressure gradient and body force that the fluid takes; absent: the void fraction.
+            pressure_share: part (cells,) of pressure gradient and body force that the fluid takes; absent: the void
+                fraction.
 
         Raises:
             SolverDiverged: if a linear solver fails.
@@ -144,8 +146,10 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         q = self.work.empty("start_of_cells", n, d)
         q[:] = self.velocity.x.array.reshape(-1, d)[:n]
         rate0, self.rate = self.rate, self.work.other("rate", self.rate, n)
-        self.cell_mass0, self.cell_mass, self.damping = (self.work.empty(k, n) for k in ("cell_mass0", "cell_mass", "damping"))
-        moves = cell_kernels.begin(self.density, dt, phi0, phi, drag, self.volume, self.rate, self.cell_mass0, self.cell_mass,
+        self.cell_mass0, self.cell_mass, self.damping = (self.work.empty(k, n) for k in ("cell_mass0", "cell_mass",
+                                                                                         "damping"))
+        moves = cell_kernels.begin(self.density, dt, phi0, phi, drag, self.volume, self.rate, self.cell_mass0,
+                                   self.cell_mass,
                                    self.damping)
         flux = self.step_flux = self._mass_flux(dt, phi0, q, moves)
         self.time, self.step = self.time + dt, self.step + 1
@@ -181,7 +185,8 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         body[:] = self.density * self.gravity + self.mean_pressure_gradient
         if self.body_force is not None:
             body += self.at_cells(self.body_force, (n, d), self.time - (0.5 * dt if self.second_order else 0.0))
-        kernels.exchange_system(self.dofs, self.gradient, self.volume, self.density, dt, phi, share, self.supply, drag, source,
+        kernels.exchange_system(self.dofs, self.gradient, self.volume, self.density, dt, phi, share, self.supply, drag,
+                                source,
                                 body, nodal, self._correction, transported, q, diagonal, weight, rhs)
         self.inflow = self.inflow_at(self.time)
         rhs += self.inflow

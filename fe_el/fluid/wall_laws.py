@@ -1,4 +1,5 @@
-"""Wall laws: the friction of turbulent layers that are thinner than a cell, from the velocity that the cell beside the wall has."""
+"""Wall laws: the friction of turbulent layers that are thinner than a cell, from the velocity that the cell beside the wall
+has."""
 import numpy as np
 from numba import njit
 
@@ -7,7 +8,8 @@ from fe_el.checks import require_positive
 
 @njit(cache=True)
 def _spalding(speed, distance, kinematic, kappa, constant, out):
-    """Friction velocity squared over the speed [m/s], by Newton's method on the law for u+ = speed over friction velocity."""
+    """Friction velocity squared over the speed [m/s], by Newton's method on the law for u+ = speed over friction
+    velocity."""
     scale = np.exp(-kappa * constant)
     for i in range(len(speed)):
         reynolds = speed[i] * distance[i] / kinematic  # u+ y+
@@ -24,9 +26,11 @@ def _spalding(speed, distance, kinematic, kappa, constant, out):
 
 
 class Spalding:
-    """The law of the wall in one formula from the viscous layer to the logarithmic one (Spalding, J. Appl. Mech. 28, 1961, 455).
+    """The law of the wall in one formula from the viscous layer to the logarithmic one (Spalding, J. Appl. Mech. 28, 1961,
+    455).
 
-    y+ = u+ + exp(-kappa B) (exp(kappa u+) - 1 - kappa u+ - (kappa u+)^2 / 2 - (kappa u+)^3 / 6). Give it to ``set_no_slip`` for
+    y+ = u+ + exp(-kappa B) (exp(kappa u+) - 1 - kappa u+ - (kappa u+)^2 / 2 - (kappa u+)^3 / 6). Give it to ``set_no_slip``
+    for
     smooth walls whose layer the mesh does not resolve; in laminar flow it leaves the friction as it is without.
 
     Args:
@@ -43,7 +47,8 @@ class Spalding:
         self.kappa, self.constant = float(kappa), float(constant)
 
     def __call__(self, speed, distance, density, viscosity):
-        """Wall stress over speed (facets,) [Pa s/m] at speeds (facets,) [m/s] along the wall and distances (facets,) [m] from it."""
+        """Wall stress over speed (facets,) [Pa s/m] at speeds (facets,) [m/s] along the wall and distances (facets,) [m]
+        from it."""
         out = np.empty(len(speed))
         _spalding(speed, distance, viscosity / density, self.kappa, self.constant, out)
         return density * out

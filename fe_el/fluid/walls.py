@@ -1,7 +1,9 @@
 """Walls: the normal part of the velocity held at the nodes, the friction of no-slip walls in the balance (Nitsche's terms).
 
-Nodes that were held at zero would brake every layer thinner than a cell as if the friction coefficient were of order one. The
-weak condition is no-slip where the mesh resolves the layer, and nearly slip where it does not; where drag makes the layer, or
+Nodes that were held at zero would brake every layer thinner than a cell as if the friction coefficient were of order one.
+The
+weak condition is no-slip where the mesh resolves the layer, and nearly slip where it does not; where drag makes the layer,
+or
 a wall law knows the friction, that friction acts (Bazilevs & Hughes, Computers & Fluids 36, 2007, 12).
 """
 from typing import NamedTuple
@@ -27,11 +29,15 @@ class Facets(NamedTuple):
 
 @njit(cache=True, fastmath=FAST)
 def unresolved_friction(facets, volume, stress, drag, coefficient, out):
-    """Add what layers thinner than the cells add to the drag of the cells behind each facet, to ``out`` (cells,) [kg/(m^3 s)].
+    """Add what layers thinner than the cells add to the drag of the cells behind each facet, to ``out`` (cells,) [kg/(m^3
+    s)].
 
-    Brinkman's layer, of thickness sqrt(mu/A), has the friction coefficient sqrt(mu A) [Pa s/m] against the velocity outside it;
-    the cell's own is nearer to the wall's by what the layer takes, so it gets more, x / (1 - x/A). The friction of a wall law
-    stands in ``coefficient``. What Nitsche's penalty has of either is left out. ``coefficient`` becomes the area times what is
+    Brinkman's layer, of thickness sqrt(mu/A), has the friction coefficient sqrt(mu A) [Pa s/m] against the velocity outside
+    it;
+    the cell's own is nearer to the wall's by what the layer takes, so it gets more, x / (1 - x/A). The friction of a wall
+    law
+    stands in ``coefficient``. What Nitsche's penalty has of either is left out. ``coefficient`` becomes the area times what
+    is
     added.
     """
     for f in range(len(facets.cell)):
@@ -71,7 +77,8 @@ def add_friction(dofs, place, facets, stress, consistent, thetas, u, wall, past,
 
 @by_dimension
 def friction_forces(dofs, facets, stress, consistent, thetas, u, wall, past, new, out):
-    """Friction of the fluid on each facet (facets, d) [N], of the same terms, for the velocities ``u`` before and ``new`` after."""
+    """Friction of the fluid on each facet (facets, d) [N], of the same terms, for the velocities ``u`` before and ``new``
+    after."""
     for f in range(len(dofs)):
         c, n = facets.cell[f], 0
         a, t = consistent * stress[c] * facets.size[f, 0], thetas[c]
@@ -96,7 +103,8 @@ def held_directions(fluid, walls):
 
     Returns:
         nodes that have a direction free (one entry for each direction), the directions (entries, d), and nodes without any.
-        The first direction of a node is that of its facets' area vectors, which fits the balance of mass; where its facets meet
+        The first direction of a node is that of its facets' area vectors, which fits the balance of mass; where its facets
+        meet
         at an edge or corner there are others.
 
     Note:
@@ -142,7 +150,8 @@ class WallFriction:
     def __init__(self, fluid, walls):
         self.fluid, self.walls, d = fluid, walls, fluid.dimension
         none = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, d)))]
-        cell, local, vector = (np.concatenate(a) for a in zip(*(none + [(f.cell, f.local, f.area_normal) for f, _, _ in walls])))
+        cell, local, vector = (np.concatenate(a) for a in zip(*(none + [(f.cell, f.local, f.area_normal) for f, _,
+                                                                        _ in walls])))
         area = np.linalg.norm(vector, axis=1)
         self.normal = vector / area[:, None]
         self.facets = Facets(cell, local, np.column_stack([area, area / d, d * fluid.volume[cell] / area]),
@@ -180,7 +189,8 @@ class WallFriction:
         friction_forces(self.dofs, *self._last, new, self.force)
 
     def in_cells(self, stress, drag, source, q):
-        """Drag coefficient and source with the friction of layers that the mesh does not resolve, for velocities ``q`` before."""
+        """Drag coefficient and source with the friction of layers that the mesh does not resolve, for velocities ``q``
+        before."""
         air, d = self.fluid, self.fluid.dimension
         for (wall, _, law), rows in zip(self.walls, self.rows):
             if law is None:

@@ -46,7 +46,8 @@ def array_forces(law, x, state, force, radius, inverse_mass, first, second, spri
     old -= (old * normal).sum(1)[:, None] * normal
     before = np.where(stamp[at] == step - 1, spring[at, 3], un)
     spring[at, 3] = un
-    fn, ft, new = law.function(reach - r, 1.5 * un - 0.5 * before, u - un[:, None] * normal, old, 1 / (inverse_mass[i] + inverse_mass[j]),
+    fn, ft, new = law.function(reach - r, 1.5 * un - 0.5 * before, u - un[:, None] * normal, old,
+                               1 / (inverse_mass[i] + inverse_mass[j]),
                                radius[i] * radius[j] / reach, h)
     spring[at, :3], stamp[at] = new, step
     scatter_arrays(i, j, np.ascontiguousarray(np.asarray(fn)[:, None] * normal + ft), *arms, normal, force)

@@ -53,7 +53,8 @@ def pair_table(name, value, materials):
     if value.ndim == 0:
         return np.full((materials, materials), float(value))
     if value.shape != (materials, materials) or not np.array_equal(value, value.T):
-        raise ValueError(f"The {name} has shape {value.shape} for {materials} materials; give one number or a symmetric table "
+        raise ValueError(f"The {name} has shape {value.shape} for {materials} materials; give one number or a symmetric "
+                         f"table "
                          f"({materials}, {materials}).")
     return value
 
@@ -168,7 +169,8 @@ class HertzMindlin(_Law):
         try:
             e, nu = np.broadcast_to(np.asarray(youngs_modulus, float), n), np.broadcast_to(nu, n)
         except ValueError:
-            raise ValueError(f"Young's modulus and Poisson ratio are given for another number of materials than {n}; give one "
+            raise ValueError(f"Young's modulus and Poisson ratio are given for another number of materials than {n}; give "
+                             f"one "
                              f"number each or {n}.") from None
         self._common(restitution, friction, rolling, cohesion, n)
         soft, shear = (1 - nu ** 2) / e, 2 * (2 - nu) * (1 + nu) / e

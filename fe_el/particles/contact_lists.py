@@ -17,8 +17,8 @@ WIDEST = 1.0  # room at most, over the largest diameter
 class ContactLists:
     """Neighbour pairs, facet contacts and contacts with planes and cylinders.
 
-    Every particle has room to move in before the lists are out of date: half the skin, and more if it is fast. A pair is listed if
-    its surfaces are closer than the room of both, a facet or wall if it is closer than the room of the particle,
+    Every particle has room to move in before the lists are out of date: half the skin, and more if it is fast. A pair is
+    listed if its surfaces are closer than the room of both, a facet or wall if it is closer than the room of the particle,
     with the room of the walls themselves if these move.
 
     Args:
@@ -34,7 +34,8 @@ class ContactLists:
         self._ahead, self._most, self.wall_room, self.wall_rate = 0.0, np.inf, 0.0, 0.0
         parts = [(_mesh.boundary_facets(particles.mesh, w.facet_tags, w.groups), k) for k, w in enumerate(walls)
                  if w.kind == FACETS]
-        self.facets, self.facet_rows = None, (np.zeros((0, 3, 3)), np.zeros((0, 3), np.uint32), np.zeros(0, np.uint32), np.zeros((0, 12)))
+        self.facets, self.facet_rows = None, (np.zeros((0, 3, 3)), np.zeros((0, 3), np.uint32), np.zeros(0, np.uint32),
+                                              np.zeros((0, 12)))
         if parts:
             self.facets = tuple(np.concatenate([f[i] for f, _ in parts]) for i in range(3))
             self.balls = _walls.facet_balls(self.facets[0])
@@ -62,7 +63,8 @@ class ContactLists:
     def pack(self, external):
         """Positions, and rows of state and of forces, of owned and ghost particles; the same memory until renewed."""
         p = self.particles
-        motion.pack(p.position, p.velocity, p.angular_velocity, external, p.contact_force, p.contact_torque, self.x, self.state,
+        motion.pack(p.position, p.velocity, p.angular_velocity, external, p.contact_force, p.contact_torque, self.x,
+                    self.state,
                     self.force)
         self.ghosts.forward_state(self.x, self.state)
         return self.x, self.state, self.force
@@ -73,7 +75,8 @@ class ContactLists:
         """Locate, migrate, sort, exchange ghosts and make the lists, keeping the springs of live contacts."""
         p, comm = self.particles, self.particles.comm
         kept = self._collect(step, layout)
-        largest, speed, inverse = largest_of(comm, *((p.diameter.max(), p.speed(), 1 / p.diameter.min()) if len(p) else np.zeros(3)))
+        largest, speed, inverse = largest_of(comm, *((p.diameter.max(), p.speed(),
+                                                      1 / p.diameter.min()) if len(p) else np.zeros(3)))
         self._choose_skin(1 / max(inverse, 1e-300), largest, speed, h)
         self._choose_wall_room(largest, h)
         widest = self._room(speed)
@@ -94,7 +97,8 @@ class ContactLists:
         speeds = np.sqrt((p.velocity ** 2).sum(1))
         room = self._room(speeds)
         x, pairs = self._pairs(room)
-        self.radius, self.inverse_mass = self.ghosts.grow(p.diameter / 2), self.ghosts.grow(np.where(p.held, 0.0, 1 / p.mass))
+        self.radius, self.inverse_mass = self.ghosts.grow(p.diameter / 2), self.ghosts.grow(np.where(p.held, 0.0,
+                                                                                                     1 / p.mass))
         self.ids, self.material = self.ghosts.grow(p.id), self.ghosts.grow(p.material).view(np.uint32)
         self.x, (self.state, self.force) = np.empty((len(self.radius), 3)), (aligned(len(self.radius), 8) for _ in range(2))
         self.state[:, 0], self.state[:, 7] = self.radius, self.inverse_mass / self.radius
@@ -114,10 +118,12 @@ class ContactLists:
             self.skin = min(max(self.skin, 0.04 * smallest), 0.2 * smallest)
             self._ahead, self._most = AHEAD * h, max(0.5 * self.skin, self._widest(largest), 3 * h * speed)
         elif 4 * h * speed > self.skin:
-            raise ValueError(f"The fastest particle moves {h * speed:g} m in one sub-step of {h:g} s, too much for the skin of "
+            raise ValueError(f"The fastest particle moves {h * speed:g} m in one sub-step of {h:g} s, too much for the skin "
+                             f"of "
                              f"{self.skin:g} m; leave skin= out, or use more steps_per_contact.")
         if self._room(speed) > largest > 0:
-            raise FloatingPointError(f"The fastest particle (velocity {speed:g} m/s) moves {h * speed:g} m in one sub-step of "
+            raise FloatingPointError(f"The fastest particle (velocity {speed:g} m/s) moves {h * speed:g} m in one sub-step "
+                                     f"of "
                                      f"{h:g} s, more than a third of the largest diameter {largest:g} m: contacts would be "
                                      f"missed. Use a step below {0.2 * largest / speed:g} s: more steps_per_contact, or a "
                                      "stiffer law.")
@@ -141,7 +147,8 @@ class ContactLists:
     def _check_period(self, largest, widest):
         p, need = self.particles, 2 * (largest + 2 * widest)
         if p.period is not None and ((p.period > 0) & (p.period < need)).any():
-            raise ValueError(f"The periodic box has lengths {p.period.tolist()}; contacts of particles of diameter {largest:g} m "
+            raise ValueError(f"The periodic box has lengths {p.period.tolist()}; contacts of particles of diameter "
+                             f"{largest:g} m "
                              f"need at least {need:g} m in every periodic direction.")
 
     def _sort(self, kept, size, in_tiles):
@@ -241,7 +248,8 @@ class ContactLists:
         self.waves = waves.NONE
         if in_tiles:
             images = np.argsort(tile[n:], kind="stable")
-            places = [np.searchsorted(a, b) for a, b in ((self.wall_particle, self.tile_starts), (self.shape_particle, self.tile_starts),
+            places = [np.searchsorted(a, b) for a, b in ((self.wall_particle, self.tile_starts),
+                                                         (self.shape_particle, self.tile_starts),
                                                          (tile[n:][images], np.arange(count + 1)))]
             self.waves = (self.tile_starts, pair_starts, *places, images, self.strips, *apart,
                           *waves.at_once(n, count // self.strips, apart[0], self.strips, apart[1]))

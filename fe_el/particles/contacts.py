@@ -56,7 +56,8 @@ class Contacts:
         self._check_materials()
         self._sub_steps, self._all_forces = Direct(sub_steps), Direct(all_forces)
         self.lists = contact_lists.ContactLists(particles, self.walls, skin, self._spring_width())
-        self.block, self.step, self.layout, self.stale, self.ranks = (new_block(), new_block()), 1, None, False, ranks_of(particles.comm)
+        self.block, self.step, self.layout, self.stale, self.ranks = (new_block(),
+                                                                      new_block()), 1, None, False, ranks_of(particles.comm)
         self.seconds = {"neighbours": 0.0, "contacts": 0.0}
         self.touching, self.touching_walls, self.largest_overlap, self.steps_last, self.behind = 0, 0, 0.0, 0, None
 
@@ -69,7 +70,8 @@ class Contacts:
                 ("wall", np.array([w.material]), self.wall_law) for w in self.walls)):
             count = getattr(law, "materials", None)
             if count and len(indices) and indices.max() >= count:
-                raise ValueError(f"A {what} has material {indices.max()}, but the law has {count} material(s), numbered from 0; "
+                raise ValueError(f"A {what} has material {indices.max()}, but the law has {count} material(s), numbered "
+                                 f"from 0; "
                                  "give the law a larger table.")
 
     @property
@@ -100,7 +102,8 @@ class Contacts:
         """Shortest contact time of the pairs of materials that are ``there`` [s]."""
         pairs = getattr(law, "materials", None) or 1
         if pairs < len(there):  # one law for all materials
-            inverse_mass, inverse_radius, there = inverse_mass.max(keepdims=True), inverse_radius.max(keepdims=True), np.ones((1, 1), bool)
+            inverse_mass, inverse_radius = inverse_mass.max(keepdims=True), inverse_radius.max(keepdims=True)
+            there = np.ones((1, 1), bool)
         mass, radius = 1 / np.where(there, inverse_mass, np.inf), 1 / np.where(there, inverse_radius, np.inf)
         mass, radius = np.where(there, mass, np.inf), np.where(there, radius, 1.0)
         return law.contact_time(mass, radius, speed)
@@ -126,7 +129,8 @@ class Contacts:
             if done < self.steps_last:
                 self._rebuild(h)
         del p.properties["_external"], p.properties["_fading"]
-        p.mean_contact_force = motion.mean_force(p.velocity, p.properties.pop("_start_velocity"), p.mass, self._external(), dt)
+        p.mean_contact_force = motion.mean_force(p.velocity, p.properties.pop("_start_velocity"), p.mass, self._external(),
+                                                 dt)
         for wall, impulse in zip(self.walls, p.comm.allreduce(self.wall_impulse)):
             wall.force = impulse * h / dt
         self.seconds["contacts"] += time.perf_counter() - tick - (self.seconds["neighbours"] - renewing)
@@ -215,8 +219,10 @@ class Contacts:
         """Stop before a position or force that is not a number spreads."""
         i, p, message = motion.first_not_finite(x, force), self.particles, None
         if i >= 0:
-            message = (f"The contact force on particle {p.id[i]} near {p.position[i].tolist()} is {force[i, :3].tolist()} (step "
-                       f"{p.step}, rank {p.comm.rank}). Either two particles lie on one point, or the step is too large for the "
+            message = (f"The contact force on particle {p.id[i]} near {p.position[i].tolist()} is {force[i, :3].tolist()} "
+                       f"(step "
+                       f"{p.step}, rank {p.comm.rank}). Either two particles lie on one point, or the step is too large for "
+                       f"the "
                        "law: insert without overlap, or use more steps_per_contact.")
         raise_everywhere(p.comm, FloatingPointError, message)
 
@@ -224,7 +230,8 @@ class Contacts:
         return self.law.numbers, getattr(self.wall_law, "numbers", self.law.numbers)  # without walls it may be an ArrayLaw
 
     def _rows(self):
-        """What the kernels need of particles, pairs (twice), what is near, facets, planes and cylinders, and of all walls."""
+        """What the kernels need of particles, pairs (twice), what is near, facets, planes and cylinders, and of all
+        walls."""
         lists = self.lists
         facets = (lists.wall_particle, lists.wall_facet, lists.springs[1], lists.stamps[1], *lists.facet_rows, lists.scratch)
         shapes = (lists.shape_particle, lists.shape_wall, lists.springs[2], lists.stamps[2], lists.kind, lists.shape)
@@ -250,7 +257,8 @@ class Contacts:
         lists, touching_walls = self.lists, 0
         if self.walls:
             lists.near = update_near(moved, *found, *near)
-            touching_walls, behind = wall_forces(rows[0], lists.wall_listed[:lists.near[2]], facets, shapes, walls, self.step,
+            touching_walls, behind = wall_forces(rows[0], lists.wall_listed[:lists.near[2]], facets, shapes, walls,
+                                                 self.step,
                                                  self.block[1], self.wall_law.numbers, h)
             self.behind = behind if behind >= 0 else self.behind
         touching, overlap = array_forces(self.law, x, state, force, radius, inverse_mass, *pairs, self.step, h)

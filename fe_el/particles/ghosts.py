@@ -104,13 +104,15 @@ class Ghosts:
             if rank == self.comm.rank:
                 continue
             if where.stop > where.start:
-                receives.append(self.comm.Recv_init(self.incoming[where.start - self.owned:where.stop - self.owned], source=rank))
+                receives.append(self.comm.Recv_init(self.incoming[where.start - self.owned:where.stop - self.owned],
+                                                    source=rank))
             if len(rows):
                 sends.append(self.comm.Send_init(self.outgoing[at:at + len(rows)], dest=rank))
                 at += len(rows)
         self.requests = receives + sends
         images = self.incoming[self.receive[me].start - self.owned:self.receive[me].stop - self.owned]
-        self._rows = (self.abroad, self.outgoing, self.incoming, self.send[me], images, self.shift, messages_of(self.requests))
+        self._rows = (self.abroad, self.outgoing, self.incoming, self.send[me], images, self.shift,
+                      messages_of(self.requests))
         return self._rows
 
     def free(self):

@@ -1,7 +1,7 @@
 """Contact laws as loops over blocks of contacts that the compiler turns into vector instructions.
 
-A block holds ``BLOCK`` contacts as rows of one flat array: entry ``row * BLOCK + n`` belongs to contact n. Pairs, mesh facets
-and primitive walls fill the same rows, so there is one kernel per law. The rows on entry:
+A block holds ``BLOCK`` contacts as rows of one flat array: entry ``row * BLOCK + n`` belongs to contact n. Pairs, mesh
+facets and primitive walls fill the same rows, so there is one kernel per law. The rows on entry:
 
     0-2   vector from the second to the first centre (a wall: from its nearest point)       3  its square
     4     sum of the radii (a wall: the radius)              5     difference of the radii (pairs only)
@@ -50,7 +50,8 @@ def new_block():
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def geometry(b, m):
-    """Rows 0-2 become the normal, 3 the distance, 4 the overlap, 6-8 the velocity at the contact, 9 the arm fraction, 10 v_n."""
+    """Rows 0-2 become the normal, 3 the distance, 4 the overlap, 6-8 the velocity at the contact, 9 the arm fraction, 10
+    v_n."""
     for n in range(m):
         r = math.sqrt(b[n + 3 * B])
         both = 1.0 / (r * b[n + 4 * B])  # one division for two: they and the roots take most of the time
@@ -90,7 +91,8 @@ def linear(b, m):
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def hertz(b, m):
-    """Hertz-Mindlin: F_n = 4/3 E* sqrt(R* d) d, k_t = 8 G* sqrt(R* d), damping of constant restitution (Tsuji et al. 1992)."""
+    """Hertz-Mindlin: F_n = 4/3 E* sqrt(R* d) d, k_t = 8 G* sqrt(R* d), damping of constant restitution (Tsuji et al.
+    1992)."""
     for n in range(m):
         overlap, inverse_mass, damping = b[n + 4 * B], b[n + 12 * B], b[n + 18 * B]
         k = 2.0 * b[n + 17 * B] * math.sqrt(b[n + 22 * B] * overlap)
@@ -146,7 +148,8 @@ def cohesion(b, m):
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def rolling(b, m, h, elastic, torsion):
-    """Rolling friction of at most mu_r R* F_n against the relative rotation w1 - w2; with torsion 1 also about the normal, else 0.
+    """Rolling friction of at most mu_r R* F_n against the relative rotation w1 - w2; with torsion 1 also about the normal,
+    else 0.
 
     Constant torque (Zhou et al. 1999), smooth below the rotation that it would stop within one step; or elastic-plastic
     (Ai et al. 2011, model C) with the stiffness 2.25 k_n (mu_r R*)^2 and 0.3 of critical damping.

@@ -33,7 +33,8 @@ def free_flight(position, velocity, force, mass, gravity, rate, held, dt):
 
 @njit(cache=True)
 def way_ahead(velocity, force, contact_force, mass, gravity, rate, held, half):
-    """Displacements (particles, 3) in the first half of a step, from velocity and acceleration of the last step; and the longest.
+    """Displacements (particles, 3) in the first half of a step, from velocity and acceleration of the last step; and the
+    longest.
 
     The velocity is that of its end for a constant force, of its middle for what follows the fluid. Of the way that the
     acceleration adds half is taken: the rest makes up for most of the error of a fluid velocity that is held over the step.
@@ -65,8 +66,8 @@ def kick(state, force, inverse_mass, inverse_inertia, h, owned):
 def kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0, part, h, begin, end):
     """Kick some particles by ``part`` of a step, drift by a step, reset their forces.
 
-    Returns the largest squares of their displacement from x0, velocity, and change of velocity, each over the room of the particle;
-    the last column of x0 (particles, 4) is one over the square of that [1/m^2].
+    Returns the largest squares of their displacement from x0, velocity, and change of velocity, each over the room of the
+    particle; the last column of x0 (particles, 4) is one over the square of that [1/m^2].
     """
     largest, fastest, hardest = 0.0, 0.0, 0.0
     for i in range(begin, end):
@@ -119,7 +120,8 @@ def drift_on(x, state, force, inverse_mass, drift, part, h, begin, end):
     """A sub-step's kick and drift, with an external force that is constant, or with a part that fades."""
     external, inverse_inertia, x0, fading = drift
     if len(fading):
-        return kick_and_drift_fading(x, state, force, external, inverse_mass, inverse_inertia, x0, fading, part, h, begin, end)
+        return kick_and_drift_fading(x, state, force, external, inverse_mass, inverse_inertia, x0, fading, part, h, begin,
+                                     end)
     return kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0, part, h, begin, end)
 
 
@@ -127,15 +129,15 @@ def drift_on(x, state, force, inverse_mass, drift, part, h, begin, end):
 def forces_in_step(position, force, contact_force, mass, gravity, rate, held, dt, steps):
     """The impulse of gravity and ``force`` over a step, given to sub-steps such that velocities follow their relaxation.
 
-    With A the acceleration by gravity and ``force``, and C the contact force of the last step, particles are expected to change
-    their velocity by dt (A + C/m): this part of the force fades like exp(-k t) over the step, -C is constant. So without
-    contacts velocities and positions at the end are those of :func:`free_flight`, a particle that contacts hold at rest feels a
-    constant force, and the impulse over the step is dt (m g + F) whatever happens in it. Positions are shifted by what the
-    sub-steps' splitting leaves out.
+    With A the acceleration by gravity and ``force``, and C the contact force of the last step, particles are expected to
+    change their velocity by dt (A + C/m): this part of the force fades like exp(-k t) over the step, -C is constant. So
+    without contacts velocities and positions at the end are those of :func:`free_flight`, a particle that contacts hold at
+    rest feels a constant force, and the impulse over the step is dt (m g + F) whatever happens in it. Positions are shifted
+    by what the sub-steps' splitting leaves out.
 
     Returns:
-        (particles, 3) the constant part [N], and (particles, 4) the fading one, of now [N], and its factor from one sub-step to
-        the next.
+        (particles, 3) the constant part [N], and (particles, 4) the fading one, of now [N], and its factor from one sub-step
+        to the next.
     """
     constant, fading, h = np.zeros_like(position), np.ones((len(position), 4)), dt / steps
     for i in range(len(position)):

@@ -1,7 +1,8 @@
 """Neighbour lists with a skin, and the springs of contacts that survive their renewal.
 
-Particles are binned in one grid per class of reaches (each twice the one before): every particle searches its own class and the
-coarser ones, or is searched by these if they are few, so the cost follows the number of neighbours however wide the sizes spread.
+Particles are binned in one grid per class of reaches (each twice the one before): every particle searches its own class and
+the coarser ones, or is searched by these if they are few, so the cost follows the number of neighbours however wide the
+sizes spread.
 """
 import numpy as np
 from numba import njit
@@ -114,7 +115,8 @@ def _pairs_of_few(g, coarse, order, rows, start, owned, lower, size, shape, offs
         for a in range(low[0], high[0] + 1):
             for b in range(low[1], high[1] + 1):
                 at = offset[g] + (a * shape[g, 1] + b) * shape[g, 2]
-                number = _pairs_with(n, start[at + low[2]], start[at + high[2] + 1], rows, order, owned, first, second, number)
+                number = _pairs_with(n, start[at + low[2]], start[at + high[2] + 1], rows, order, owned, first, second,
+                                     number)
     return number
 
 
@@ -150,10 +152,12 @@ def _search(order, rows, start, owned, lower, size, shape, offset, first, second
                     for i in range(max(p - 1, 0), min(p + 2, shape[coarse, 0])):
                         for j in range(max(q - 1, 0), min(q + 2, shape[coarse, 1])):
                             at = offset[coarse] + (i * shape[coarse, 1] + j) * shape[coarse, 2]
-                            number = _pairs_with(n, start[at + low_r], start[at + high_r], rows, order, owned, first, second, number)
+                            number = _pairs_with(n, start[at + low_r], start[at + high_r], rows, order, owned, first, second,
+                                                 number)
         for coarse in range(g + 1, len(size)):
             if few[g, coarse]:
-                number = _pairs_of_few(g, coarse, order, rows, start, owned, lower, size, shape, offset, first, second, number)
+                number = _pairs_of_few(g, coarse, order, rows, start, owned, lower, size, shape, offset, first, second,
+                                       number)
     return number
 
 

@@ -25,7 +25,8 @@ class OpenBoundaries:
         near = self.tree.query(position, k=min(24, len(self.corner)))[1].reshape(len(position), -1)
         out = np.zeros(len(position), bool)
         for i, facets in enumerate(near):
-            distance = [np.sum((np.array(nearest_point(self.corner[f], *position[i])[:3]) - position[i]) ** 2) for f in facets]
+            distance = [np.sum((np.array(nearest_point(self.corner[f],
+                                                       *position[i])[:3]) - position[i]) ** 2) for f in facets]
             out[i] = self.open[facets[int(np.argmin(distance))]]
         return out
 
@@ -58,7 +59,8 @@ class Inlet:
         require_positive("mass rate", mass_rate)
         if not callable(diameter):
             require_positive("diameter", diameter)
-        self.particles, self.mass_rate, self.diameter, self.tries, self.kind = particles, float(mass_rate), diameter, tries, kind
+        self.particles, self.mass_rate, self.diameter = particles, float(mass_rate), diameter
+        self.tries, self.kind = tries, kind
         self.density = particles.default_density if density is None else float(density)
         self.velocity = np.zeros(3)
         self.velocity[:len(velocity)] = velocity
@@ -70,7 +72,8 @@ class Inlet:
         self.area = np.linalg.norm(normal, axis=1)
         self.normal = normal / self.area[:, None]
         self._inwards()
-        every, chosen = _mesh.exterior_facets(particles.mesh, facet_tags, _mesh.require_groups(particles.mesh, facet_tags, group))
+        every, chosen = _mesh.exterior_facets(particles.mesh, facet_tags, _mesh.require_groups(particles.mesh, facet_tags,
+                                                                                               group))
         self.others, self.balls = every[~chosen], facet_balls(every[~chosen]) if not chosen.all() else np.zeros((0, 7))
         self.generator = np.random.default_rng(seed)
         self.inserted, self.waiting, self.next = 0, 0.0, None

@@ -1,8 +1,8 @@
 """Forces of touching pairs: gather a block of contacts, apply the law, scatter forces and torques.
 
-Particles have rows of eight numbers: ``state`` holds radius, velocity, angular velocity and inverse mass over radius; ``force``
-holds the force in 0 to 2 and the torque in 4 to 6 (3 and 7 collect what is of no use). Contacts are treated four at a time; the
-last four of a block are filled up with copies of the last contact, whose forces are zeroed.
+Particles have rows of eight numbers: ``state`` holds radius, velocity, angular velocity and inverse mass over radius;
+``force`` holds the force in 0 to 2 and the torque in 4 to 6 (3 and 7 collect what is of no use). Contacts are treated four
+at a time; the last four of a block are filled up with copies of the last contact, whose forces are zeroed.
 """
 import numpy as np
 from numba import njit

@@ -9,7 +9,8 @@ from fe_el.particles import insertion, location, motion
 from fe_el.particles.open_boundaries import OpenBoundaries
 
 FIELDS = {"position": (3,), "velocity": (3,), "angular_velocity": (3,), "diameter": (), "density": (), "force": (3,),
-          "contact_force": (3,), "contact_torque": (3,), "mean_contact_force": (3,), "coarse_graining": (), "relaxation_rate": ()}
+          "contact_force": (3,), "contact_torque": (3,), "mean_contact_force": (3,), "coarse_graining": (),
+          "relaxation_rate": ()}
 
 INTEGERS = ("cell", "id", "material", "held")
 
@@ -25,9 +26,9 @@ class Particles:
     has the mass and volume of all, and the drag of each of them.
 
     Every array has one row per particle of this rank; ``id`` is unique over all ranks and never changes. ``force`` [N]
-    is added during :meth:`advance` (the coupling writes it). ``relaxation_rate`` [1/s] is that of the drag in it: velocity and
-    position follow the relaxation at this rate that gives the impulse of ``force``; zero: a constant force. ``properties`` holds
-    user arrays that travel along.
+    is added during :meth:`advance` (the coupling writes it). ``relaxation_rate`` [1/s] is that of the drag in it: velocity
+    and position follow the relaxation at this rate that gives the impulse of ``force``; zero: a constant force.
+    ``properties`` holds user arrays that travel along.
 
     Args:
         mesh: dolfinx mesh of triangles or tetrahedra.
@@ -129,7 +130,8 @@ class Particles:
         self.next_id += len(x)
         self.layout += 1
 
-    def insert_in_box(self, lower, upper, count, diameter, density=None, velocity=0.0, seed=0, without_overlap=False, **kind):
+    def insert_in_box(self, lower, upper, count, diameter, density=None, velocity=0.0, seed=0, without_overlap=False,
+                      **kind):
         """Insert ``count`` particles at random in a box; ``diameter`` is a number or one per particle [m].
 
         ``without_overlap``: they overlap neither each other nor particles that are there already.
@@ -265,8 +267,8 @@ class Particles:
         that it is lost.
 
         Args:
-            ahead (float): where velocity and acceleration of the last step take it in that half of a step [s]; now, if that is
-                outside the mesh.
+            ahead (float): where velocity and acceleration of the last step take it in that half of a step [s]; now, if that
+                is outside the mesh.
 
         Note:
             Collective.
@@ -347,12 +349,14 @@ class Particles:
         if contacts is None:
             if self.all_held():
                 return
-            motion.free_flight(self.position, self.velocity, self.force, self.mass, self.gravity, self.relaxation_rate, self.held, dt)
+            motion.free_flight(self.position, self.velocity, self.force, self.mass, self.gravity, self.relaxation_rate,
+                               self.held, dt)
         else:
             contacts.advance(dt)
         bad, message = np.flatnonzero(~np.isfinite(self.velocity).all(1)), None
         if len(bad):
-            message = (f"Particle {self.id[bad[0]]} has velocity {self.velocity[bad[0]].tolist()} at step {self.step} on rank "
+            message = (f"Particle {self.id[bad[0]]} has velocity {self.velocity[bad[0]].tolist()} at step {self.step} on "
+                       f"rank "
                        f"{self.comm.rank}. Use a smaller step or a softer contact law.")
         raise_everywhere(self.comm, FloatingPointError, message)
         if contacts is None:

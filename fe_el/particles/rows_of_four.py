@@ -1,8 +1,8 @@
 """Rows of particles or pairs to and from the block of a contact law, four contacts at a time, as vector instructions.
 
-Four rows of four numbers are read and transposed, so that each number goes to (or comes from) a row of the block as one vector.
-The compiler does not find this on its own: here LLVM's vectors are written out. On a processor with shorter vectors LLVM splits
-them.
+Four rows of four numbers are read and transposed, so that each number goes to (or comes from) a row of the block as one
+vector. The compiler does not find this on its own: here LLVM's vectors are written out. On a processor with shorter vectors
+LLVM splits them.
 """
 import inspect
 
@@ -13,7 +13,8 @@ from numba.extending import intrinsic
 
 from fe_el.particles.law_kernels import BLOCK
 
-NUMBER, INDEX, VECTOR, ORDER = ir.DoubleType(), ir.IntType(64), ir.VectorType(ir.DoubleType(), 4), ir.VectorType(ir.IntType(32), 4)
+NUMBER, INDEX, VECTOR, ORDER = ir.DoubleType(), ir.IntType(64), ir.VectorType(ir.DoubleType(),
+                                                                              4), ir.VectorType(ir.IntType(32), 4)
 FLAGS = ("contract",)  # a product and a sum may become one instruction
 WIDTH = 8  # numbers in a row of a particle
 
@@ -33,7 +34,8 @@ class _Code:
     def four(self, k):
         """The four items of a tuple; whole numbers as indices."""
         items, kind = cgutils.unpack_tuple(self.builder, self.values[k]), self.types[k].dtype
-        return [self.context.cast(self.builder, v, kind, types.intp) for v in items] if isinstance(kind, types.Integer) else items
+        return [self.context.cast(self.builder, v, kind, types.intp)
+                for v in items] if isinstance(kind, types.Integer) else items
 
     def entry(self, row, width, column=0):
         """Place of a row's number; ``width`` may be a value or a constant."""
@@ -76,7 +78,8 @@ class _Code:
         return [self.builder.add(at, ir.Constant(INDEX, k * BLOCK)) for k in range(4)]
 
     def to_block(self, vectors):
-        """Number k of contact n goes to entry ``at + k BLOCK + n`` of the block; arguments 0 and 1 are the block and ``at``."""
+        """Number k of contact n goes to entry ``at + k BLOCK + n`` of the block; arguments 0 and 1 are the block and
+        ``at``."""
         for vector, row in zip(self._transposed(*vectors), self._rows(self.index(1))):
             self.store(vector, self.array(0), row)
 
@@ -98,7 +101,8 @@ def _instructions(write):
 
 @_instructions
 def difference_to_block(c, block, at, state, first, second):
-    """Numbers 0 to 3 of the first less those of the second particle of four pairs, to four rows of the block from ``at`` on."""
+    """Numbers 0 to 3 of the first less those of the second particle of four pairs, to four rows of the block from ``at``
+    on."""
     s = c.array(state)
     c.to_block([c.builder.fsub(c.load(s, c.entry(i, WIDTH)), c.load(s, c.entry(j, WIDTH)), flags=FLAGS)
                 for i, j in zip(c.four(first), c.four(second))])
@@ -153,5 +157,6 @@ def fetch_row(c, rows, width, k):
     place = c.builder.gep(c.array(rows), [c.entry(c.index(k), c.index(width))])
     byte = ir.IntType(8).as_pointer()
     word = ir.IntType(32)
-    fetch = cgutils.get_or_insert_function(c.builder.module, ir.FunctionType(ir.VoidType(), [byte, word, word, word]), "llvm.prefetch.p0i8")
+    fetch = cgutils.get_or_insert_function(c.builder.module, ir.FunctionType(ir.VoidType(), [byte, word, word, word]),
+                                           "llvm.prefetch.p0i8")
     c.builder.call(fetch, [c.builder.bitcast(place, byte), ir.Constant(word, 0), ir.Constant(word, 2), ir.Constant(word, 1)])

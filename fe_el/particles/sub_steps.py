@@ -25,10 +25,11 @@ def prune(gap, reach, near):
 
 @njit(cache=True)
 def update_near(moved, gap, wall_gap, listed, wall_listed, reach, number, walls):
-    """Widen the lists of what may touch, particles having moved by up to ``sqrt(moved)`` of their room; returns the last three.
+    """Widen the lists of what may touch, particles having moved by up to ``sqrt(moved)`` of their room; returns the last
+    three.
 
-    ``gap`` and ``wall_gap`` are those of all pairs when they were found, over the room of both; of these the first ``number`` and
-    ``walls`` entries of ``listed`` and ``wall_listed`` may touch by now.
+    ``gap`` and ``wall_gap`` are those of all pairs when they were found, over the room of both; of these the first
+    ``number`` and ``walls`` entries of ``listed`` and ``wall_listed`` may touch by now.
     """
     need = math.sqrt(moved)
     if need >= reach:
@@ -67,7 +68,8 @@ def all_forces(particles, pairs, found, near, facets, shapes, walls, moved, step
 
 
 @njit(cache=True)
-def wave(number, ahead, h, particles, drift, ghosts, waves, pairs, found, near, facets, shapes, walls, step, block, laws, deepest):
+def wave(number, ahead, h, particles, drift, ghosts, waves, pairs, found, near, facets, shapes, walls, step, block, laws,
+         deepest):
     """``number`` sub-steps that follow each other through the tiles; displacements are meant to stay below ``ahead``,
     a share of the particles' room.
 
@@ -98,7 +100,8 @@ def wave(number, ahead, h, particles, drift, ghosts, waves, pairs, found, near, 
             p, q = shape_at[c], shape_at[e]
             own = shapes[0][p:q], shapes[1][p:q], shapes[2][p:q], shapes[3][p:q], shapes[4], shapes[5]
             n, fell = wall_forces(particles, found[3][b[c]:b[e]], facets, own, walls, step + s, block[1], laws[1], h)
-            m, deepest = pair_forces(x, state, force, radius, material, found[2][a[c]:a[e]], *pairs, step + s, block[0], laws[0], h,
+            m, deepest = pair_forces(x, state, force, radius, material, found[2][a[c]:a[e]], *pairs, step + s, block[0],
+                                     laws[0], h,
                                      deepest)
             behind, touching = max(fell, behind), touching + (n + m if s == number - 1 else 0)
     return moved, speed, change, touching, behind, max(deepest, walls[3][0]), near
@@ -107,13 +110,14 @@ def wave(number, ahead, h, particles, drift, ghosts, waves, pairs, found, near, 
 @njit(cache=True)
 def sub_steps(most, h, age, wall_rate, particles, drift, ghosts, ranks, waves, pairs, found, near, facets, shapes, walls,
               step, block, laws, deepest):
-    """Sub-steps with built-in laws, at most ``most``, until the lists are out of date; the first kick is half a step. Collective.
+    """Sub-steps with built-in laws, at most ``most``, until the lists are out of date; the first kick is half a step.
+    Collective.
 
     ``wall_rate`` is the largest speed of a wall over the room it has before the lists are out of date [1/s].
 
     Returns:
-        sub-steps made, whether the lists are out of date, and what :func:`all_forces` returns, of any sub-step for a particle
-        behind a wall.
+        sub-steps made, whether the lists are out of date, and what :func:`all_forces` returns, of any sub-step for a
+        particle behind a wall.
     """
     particles, drift, ghosts, ranks, waves = borrowed((particles, drift, ghosts, ranks, waves))
     pairs, found, facets, shapes, walls, block, laws = borrowed((pairs, found, facets, shapes, walls, block, laws))
@@ -130,7 +134,8 @@ def sub_steps(most, h, age, wall_rate, particles, drift, ghosts, ranks, waves, p
                                                        step + made + 1, block, laws, h, deepest)
         else:
             moved, speed, change, touching, back, deepest, near = wave(
-                number, ahead, h, particles, drift, ghosts, waves, pairs, found, near, facets, shapes, walls, step + made + 1,
+                number, ahead, h, particles, drift, ghosts, waves, pairs, found, near, facets, shapes, walls,
+                                                                       step + made + 1,
                 block, laws, deepest)
         behind, made, part = max(behind, back), made + number, 1.0
         room = 1 - math.sqrt(moved)

@@ -11,7 +11,8 @@ B = BLOCK
 
 @njit(cache=True, fastmath=FAST, inline="always")
 def add_contact(block, m, i, k, wall, dx, dy, dz, radius):
-    """Contact m of a block: particle i, entry k of the list; (dx, dy, dz) points from the wall's nearest point to the centre."""
+    """Contact m of a block: particle i, entry k of the list; (dx, dy, dz) points from the wall's nearest point to the
+    centre."""
     b, at, who, wall_of = block
     at[m], who[m], wall_of[m] = k, i, wall
     b[m], b[m + B], b[m + 2 * B] = dx, dy, dz

@@ -81,7 +81,8 @@ def nearest_point(corner, x, y, z):
 
 
 def facet_frames(corner):
-    """First corner, dual edge vectors and unit normal of each facet: (facets, 12); a segment's second edge is out of plane."""
+    """First corner, dual edge vectors and unit normal of each facet: (facets, 12); a segment's second edge is out of
+    plane."""
     one = corner[:, 1] - corner[:, 0]
     other = corner[:, 2] - corner[:, 0] if corner.shape[1] == 3 else np.tile([0.0, 0.0, 1.0], (len(corner), 1))
     normal = np.cross(one, other)
@@ -92,7 +93,8 @@ def facet_frames(corner):
 
 @njit(cache=True, fastmath=FAST, inline="always")
 def _from_facet(frame, corner, f, x, y, z, reach):
-    """Vector from the nearest point of facet f to a point, with that point's weights; only its length matters beyond reach."""
+    """Vector from the nearest point of facet f to a point, with that point's weights; only its length matters beyond
+    reach."""
     px, py, pz = x - frame[f, 0], y - frame[f, 1], z - frame[f, 2]
     nx, ny, nz = frame[f, 9], frame[f, 10], frame[f, 11]
     v = frame[f, 3] * px + frame[f, 4] * py + frame[f, 5] * pz
@@ -160,7 +162,8 @@ def scratch(particle):
 
 
 @njit(cache=True, fastmath=FAST)
-def facet_forces(x, state, force, radius, inverse_mass, material, listed, particle, facet, spring, stamp, step, corner, vertex,
+def facet_forces(x, state, force, radius, inverse_mass, material, listed, particle, facet, spring, stamp, step, corner,
+                 vertex,
                  facet_wall, frame, scratch, motion, wall_material, wall_force, deepest, block, numbers, h):
     """Add the contact forces of the ``listed`` pairs with wall facets.
 

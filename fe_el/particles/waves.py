@@ -1,9 +1,10 @@
 """Several sub-steps in one pass over the memory, for beds that do not fit into the caches.
 
-The particles are sorted by slabs, and in these by strips. A slab can make its next sub-step as soon as its neighbours have made the
-last one, so a few sub-steps follow each other through the bed like waves, a few slabs apart, and what they need stays in the caches.
-In wide beds they do so in one block of strips after the other; each sub-step's block lies a few strips behind that of the last.
-Without blocks every particle gets its forces in the same order as in one sub-step after the other on the same lists.
+The particles are sorted by slabs, and in these by strips. A slab can make its next sub-step as soon as its neighbours have
+made the last one, so a few sub-steps follow each other through the bed like waves, a few slabs apart, and what they need
+stays in the caches. In wide beds they do so in one block of strips after the other; each sub-step's block lies a few strips
+behind that of the last. Without blocks every particle gets its forces in the same order as in one sub-step after the other
+on the same lists.
 """
 import numpy as np
 from numba import njit
@@ -22,8 +23,8 @@ NONE = (np.zeros(1, np.int64),) * 6 + (1, 0, 0, 1, 1)
 def tiles(position, period, reach):
     """Number of each particle's tile: slab times the number of strips, and strip; and the number of strips.
 
-    Slabs cut the direction that gives the thinnest, strips the next, where slabs alone hold too much. In a periodic direction two
-    that are as far from the middle count as one.
+    Slabs cut the direction that gives the thinnest, strips the next, where slabs alone hold too much. In a periodic
+    direction two that are as far from the middle count as one.
     """
     lower, _, extent = neighbours.bounds(position)
     fold = np.array(period) > 0 if period is not None else np.zeros(3, bool)
@@ -67,7 +68,8 @@ def by_tile(first, second, tile, strips, count):
 
 
 def at_once(particles, slabs, apart, strips, apart_strips):
-    """How many sub-steps may follow each other, in blocks of how many strips, so that particles between them stay in the caches.
+    """How many sub-steps may follow each other, in blocks of how many strips, so that particles between them stay in the
+    caches.
 
     A block is fetched once for all of its sub-steps, with what these add on its side: the choice fetches the least.
     """
@@ -86,7 +88,8 @@ def at_once(particles, slabs, apart, strips, apart_strips):
 
 @njit(cache=True)
 def wave_length(most, room, step, speed, change):
-    """How many sub-steps keep displacements within ``room``, with twice the speed and its change there are now: (number, reach).
+    """How many sub-steps keep displacements within ``room``, with twice the speed and its change there are now: (number,
+    reach).
 
     All of them are over the room of each particle.
     """
