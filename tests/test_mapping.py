@@ -5,6 +5,7 @@ from mpi4py import MPI
 from numba import njit
 
 import fe_el
+from fe_el.coupling import overlap
 from fe_el.coupling.over_filled import Spill
 from fe_el.coupling.overlap import OverlapVolume
 from fe_el.mesh import by_place
@@ -168,3 +169,26 @@ def test_solid_that_does_not_fit_is_refused_on_all_ranks():
     p, content = one_large_sphere()
     with pytest.raises(RuntimeError, match="do not fit.*solid fraction"):
         Spill(p.cells, p.halo, content[:, 0], 0.3)
+
+
+def test_many_particles_in_any_order_have_the_same_shares(monkeypatch):
+    """Cell by cell or as they lie in memory: deposits and gathers agree to round-off, ordered particles are left as they are."""
+    mesh, _ = fe_el.periodic_box((1.0, 1.0, 1.0), (12, 12, 12))
+    beads = fe_el.Particles(mesh, 1000.0)
+    beads.insert_in_box((0, 0, 0), (1, 1, 1), 60_000, diameter=np.linspace(0.005, 0.03, 60_000), seed=3)
+    cells, quantity, found = beads.cells, np.random.default_rng(1).normal(size=(60_000, 5)), []
+    field = np.random.default_rng(2).normal(size=(len(cells.volume), 6))
+    for many in (50_000, 10 ** 9):
+        monkeypatch.setattr(overlap, "MANY", many)
+        shares, sums, means = overlap.OverlapVolume(), np.zeros((len(cells.volume), 5)), np.empty((60_000, 6))
+        shares.prepare(cells, beads.cell, beads.position, 0.5 * beads.diameter)
+        shares.deposit(quantity, sums)
+        shares.gather(field, means)
+        found.append((sums, means))
+        assert len(shares.order) == (60_000 if many == 50_000 else 0)
+    for a, b in zip(*found):
+        assert np.allclose(a, b, rtol=1e-12, atol=1e-12)
+    order = np.argsort(beads.cell, kind="stable")
+    monkeypatch.setattr(overlap, "MANY", 50_000)
+    shares.prepare(cells, beads.cell[order], beads.position[order], 0.5 * beads.diameter[order])
+    assert not len(shares.order)

@@ -3,7 +3,7 @@ import numpy as np
 from numba import njit
 
 from fe_el.borrowed import borrowed
-from fe_el.coupling.shares import ListedShares
+from fe_el.coupling.shares import MANY, ListedShares, in_order, order_by_cell
 from fe_el.direct_calls import Direct
 
 FAST = {"contract", "reassoc", "nsz", "arcp"}
@@ -266,32 +266,40 @@ class OverlapVolume(ListedShares):
     """Shares by overlap: w_ij is the part of particle i's sphere inside the mesh that lies in cell j, exactly.
 
     Continuous in place and time, without points and axes, for particles of any size beside the cells. In two dimensions the
-    spheres stand in prisms above the triangles. See
-    Strobl, Formella & Poeschel, J. Comput. Phys. 311 (2016) 158, for overlaps by inclusion and exclusion; here each facet
-    that
-    a sphere touches is computed once, for the two cells beside it.
+    spheres stand in prisms above the triangles. See Strobl, Formella & Poeschel, J. Comput. Phys. 311 (2016) 158, for
+    overlaps by inclusion and exclusion; here each facet that a sphere touches is computed once, for the two cells beside it.
+    Many particles that lie in memory without order are taken cell by cell.
     """
 
     def __init__(self):
         super().__init__()
         self._barycentric, self._place, self._scratch = None, np.empty((64, 3)), scratch_for(64)
-        self._overlap_shares = Direct(overlap_shares)
+        self._overlap_shares, self._spheres = Direct(overlap_shares), None
 
     def prepare(self, cells, cell, position, radius):
-        """Find the shares of particles at ``position`` with centre in ``cell``: entries start[i]:start[i+1] of particle
-        i."""
+        """Find the shares of particles at ``position`` with centre in ``cell``."""
         n, done = len(cell), 0
         if self._barycentric is not cells.barycentric:
             self._barycentric, (self._plane, self._neighbour) = cells.barycentric, facet_planes(cells)
             self._slot = np.full(len(cells.volume), -1, np.int32)
         self._reserve(n, n + len(self._place) + 1)
+        spheres, around = self._in_order(cell, position, radius), (self._plane, cells.corner, self._neighbour, cells.shift)
         while done < n:
-            done = self._overlap_shares((self._plane, cells.corner, self._neighbour, cells.shift), self._slot, self._place,
-                                        self._scratch,
-                                  (cell, position, radius), done, self._start, self._cell, self._weight)
+            done = self._overlap_shares(around, self._slot, self._place, self._scratch, spheres, done, self._start,
+                                        self._cell, self._weight)
             if done < n and self._start[done] + len(self._place) < len(self._cell):
                 self._place, self._scratch = np.empty((2 * len(self._place), 3)), scratch_for(2 * len(self._place))
             elif done < n:
                 each = self._start[done] // max(done, 1) + 1
                 self._reserve(n, self._start[done] + (n - done) * each + len(self._place) + 1)
         self._keep(n)
+
+    def _in_order(self, cell, position, radius):
+        """Cells, positions and radii, cell by cell where that pays."""
+        self.order = order_by_cell(cell, len(self._slot)) if len(cell) >= MANY else np.empty(0, np.int32)
+        if not len(self.order):
+            return cell, position, radius
+        if self._spheres is None or len(self._spheres[0]) != len(cell):
+            self._spheres = np.empty_like(cell), np.empty_like(position), np.empty_like(radius)
+        in_order(self.order, cell, position, radius, *self._spheres)
+        return self._spheres

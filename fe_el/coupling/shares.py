@@ -3,15 +3,46 @@ import numpy as np
 from numba import njit
 
 FAST = {"contract", "reassoc", "nsz", "arcp"}
+MANY = 50_000  # particles, from which cells of particles in any order no longer stay in the caches
+
+
+@njit(cache=True)
+def order_by_cell(cell, cells):
+    """Rows of the particles cell by cell; none if neighbours in memory are mostly neighbours in the numbers of the cells."""
+    far = 0
+    for i in range(1, len(cell)):
+        far += abs(cell[i] - cell[i - 1]) > 256
+    if 4 * far < len(cell):
+        return np.empty(0, np.int32)
+    start, order = np.zeros(cells + 1, np.int32), np.empty(len(cell), np.int32)
+    for c in cell:
+        start[c + 1] += 1
+    for c in range(cells):
+        start[c + 1] += start[c]
+    for i in range(len(cell)):
+        order[start[cell[i]]] = i
+        start[cell[i]] += 1
+    return order
+
+
+@njit(cache=True)
+def in_order(order, cell, position, radius, out_cell, out_position, out_radius):
+    """Cells, positions and radii in another order."""
+    for i in range(len(order)):
+        j = order[i]
+        out_cell[i], out_radius[i] = cell[j], radius[j]
+        for k in range(3):
+            out_position[i, k] = position[j, k]
 
 
 @njit(cache=True, fastmath=FAST)
-def _deposit(start, cell, weight, quantity, out):
-    for i in range(len(start) - 1):
-        k = 0
+def _deposit(start, cell, weight, order, quantity, out):
+    ordered = len(order) > 0
+    for row in range(len(start) - 1):
+        i, k = order[row] if ordered else row, 0
         while k + 3 < quantity.shape[1]:  # columns in fours: one vector instruction each
             a, b, c, d = quantity[i, k], quantity[i, k + 1], quantity[i, k + 2], quantity[i, k + 3]
-            for n in range(start[i], start[i + 1]):
+            for n in range(start[row], start[row + 1]):
                 j, w = np.uint64(cell[n]), weight[n]
                 out[j, k] += w * a
                 out[j, k + 1] += w * b
@@ -20,18 +51,19 @@ def _deposit(start, cell, weight, quantity, out):
             k += 4
         while k < quantity.shape[1]:
             a = quantity[i, k]
-            for n in range(start[i], start[i + 1]):
+            for n in range(start[row], start[row + 1]):
                 out[np.uint64(cell[n]), k] += weight[n] * a
             k += 1
 
 
 @njit(cache=True, fastmath=FAST)
-def _gather(start, cell, weight, field, out):
-    for i in range(len(start) - 1):
-        k = 0
+def _gather(start, cell, weight, order, field, out):
+    ordered = len(order) > 0
+    for row in range(len(start) - 1):
+        i, k = order[row] if ordered else row, 0
         while k + 3 < field.shape[1]:
             a = b = c = d = 0.0
-            for n in range(start[i], start[i + 1]):
+            for n in range(start[row], start[row + 1]):
                 j, w = np.uint64(cell[n]), weight[n]
                 a += w * field[j, k]
                 b += w * field[j, k + 1]
@@ -41,7 +73,7 @@ def _gather(start, cell, weight, field, out):
             k += 4
         while k + 1 < field.shape[1]:
             a = b = 0.0
-            for n in range(start[i], start[i + 1]):
+            for n in range(start[row], start[row + 1]):
                 j, w = np.uint64(cell[n]), weight[n]
                 a += w * field[j, k]
                 b += w * field[j, k + 1]
@@ -49,7 +81,7 @@ def _gather(start, cell, weight, field, out):
             k += 2
         if k < field.shape[1]:
             a = 0.0
-            for n in range(start[i], start[i + 1]):
+            for n in range(start[row], start[row + 1]):
                 a += weight[n] * field[np.uint64(cell[n]), k]
             out[i, k] = a
 
@@ -60,10 +92,12 @@ class ListedShares:
     Attributes:
         start: (particles + 1,) first entry of each particle.
         cell, weight: (entries,) cells and shares.
+        order: (particles,) the particle whose entries come first, second, ...; empty: as they are.
     """
 
     def __init__(self):
         self._start, self._cell, self._weight = np.zeros(1, np.int64), np.empty(0, np.int32), np.empty(0)
+        self.order = np.empty(0, np.int32)
 
     def _reserve(self, particles, entries):
         """Make room for so many particles and entries; what is there stays."""
@@ -81,8 +115,8 @@ class ListedShares:
 
     def deposit(self, quantity, out):
         """out[j] += sum_i w_ij quantity_i for (particles, k) quantities."""
-        _deposit(self.start, self.cell, self.weight, quantity, out)
+        _deposit(self.start, self.cell, self.weight, self.order, quantity, out)
 
     def gather(self, field, out):
         """out[i] = sum_j w_ij field_j for (cells, k) fields."""
-        _gather(self.start, self.cell, self.weight, field, out)
+        _gather(self.start, self.cell, self.weight, self.order, field, out)
