@@ -172,7 +172,7 @@ def test_solid_that_does_not_fit_is_refused_on_all_ranks():
 
 
 def test_many_particles_in_any_order_have_the_same_shares(monkeypatch):
-    """Cell by cell or as they lie in memory: deposits and gathers agree to round-off, ordered particles are left as they are."""
+    """Cell by cell or as they lie in memory: deposits and gathers agree to round-off; ordered particles stay as they are."""
     mesh, _ = fe_el.periodic_box((1.0, 1.0, 1.0), (12, 12, 12))
     beads = fe_el.Particles(mesh, 1000.0)
     beads.insert_in_box((0, 0, 0), (1, 1, 1), 60_000, diameter=np.linspace(0.005, 0.03, 60_000), seed=3)
