@@ -79,10 +79,19 @@ class Boundaries:
         self.ready = False
 
     def set_velocity(self, groups, value):
-        """Superficial velocity on inlets: d numbers, or a function (time, position (points, 3)) -> (points, d)."""
+        """Superficial velocity on inlets: d numbers, or a function (time, position (points, 3)) -> (points, d).
+
+        Numbers that lead along a boundary and not through it make it a no-slip wall that moves with this velocity.
+        """
         for group in self._numbers(groups):
-            velocity_at(value, 0.0, self.boundary(group).centre, self.dimension)
-        self._set("velocity", groups, value)
+            facets = self.boundary(group)
+            velocity = velocity_at(value, 0.0, facets.centre, self.dimension)
+            through, size = np.abs((velocity * facets.area_normal).sum(1)).sum(), np.abs(velocity).sum()
+            through, size = self.comm.allreduce(np.array([through, size * np.abs(facets.area_normal).max(initial=0.0)]))
+            if callable(value) or through > 1e-12 * size:
+                self._set("velocity", group, value)
+            else:
+                self._set("no slip", group, value, None)
 
     def set_pressure(self, groups, value=0.0):
         """Pressure on outlets [Pa]: a number or a function of time. Fluid may enter there without bringing energy."""
