@@ -26,8 +26,8 @@ def main(options, settings=SETTINGS, realisations=3):
     of
     the run without its first tenth of a second of compilation: of all stages but the rest.
     """
-    folder, options = Path(options["output"]), {k: v for k, v in options.items() if k not in ("report", "output", "seed",
-                                                                                              "restart")}
+    folder, left_out = Path(options["output"]), ("report", "output", "seed", "restart")
+    options = {k: v for k, v in options.items() if k not in left_out}
     rows = []
     for dt, steps, size in settings:
         runs = []

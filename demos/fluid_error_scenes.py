@@ -107,8 +107,8 @@ def centre_lines():
     precise, ghia = read("botella_peyret1998_cavity.csv"), read("ghia1982_cavity.csv")
     at = [round(128 * c) / 128 for _, c in precise]  # what is printed is rounded
     x = [(0.5, c, 0.0) if line == "u" else (c, 0.5, 0.0) for (line, _), c in zip(precise, at)]
-    return np.array(x), np.array(["uv".index(line) for line, _ in precise]), np.array([(v, ghia[k]) for k,
-                                                                                       v in precise.items()])
+    component = np.array(["uv".index(line) for line, _ in precise])
+    return np.array(x), component, np.array([(v, ghia[k]) for k, v in precise.items()])
 
 
 def compared(cells, seconds, velocity):

@@ -70,8 +70,8 @@ def first_positions(number, seed):
     x, y = (a.ravel() for a in np.meshgrid(side, side))
     keep = np.hypot(x, y) < RADIUS - 0.75 * DIAMETER
     layers = int(np.ceil(number / keep.sum()))
-    at = np.concatenate([np.column_stack([x[keep], y[keep], np.full(keep.sum(),
-                                                                    (k + 0.6) * step)]) for k in range(layers)])[:number]
+    at = np.concatenate([np.column_stack([x[keep], y[keep], np.full(keep.sum(), (k + 0.6) * step)])
+                         for k in range(layers)])[:number]
     return at + rng.uniform(-0.05, 0.05, at.shape) * DIAMETER
 
 
@@ -131,8 +131,8 @@ def finish(output, comm, rows, weight, ramp_time, numbers):
     """Compare with Ergun's equation and the weight; write curve, picture and summary."""
     time, velocity, drop, height, void, expected = rows.T
     down, packed = time > ramp_time, (drop < 0.8 * weight) & (drop > 0.1 * weight)
-    numbers |= {"weight_per_area": weight, "pressure_drop_fluidised_over_weight": drop[velocity > 0.9
-                                                                                       * velocity.max()].mean() / weight,
+    numbers |= {"weight_per_area": weight,
+                "pressure_drop_fluidised_over_weight": drop[velocity > 0.9 * velocity.max()].mean() / weight,
                 "void_fraction_at_start": void[0], "void_fraction_at_end": void[-1],
                 "minimum_fluidisation_velocity_by_ergun": minimum_velocity(void[-1])}
     ratio = drop / np.maximum(expected, 1e-300)

@@ -82,8 +82,8 @@ def measured(velocity):
     with open(MEASURED) as file:
         for row in csv.DictReader(line for line in file if not line.startswith("#")):
             if float(row["U_superficial_m_s"]) == velocity:
-                out.setdefault((row["quantity"], float(row["height_mm"])), []).append((float(row["x_m_from_left_wall"]),
-                                                                                       float(row["value"])))
+                out.setdefault((row["quantity"], float(row["height_mm"])),
+                               []).append((float(row["x_m_from_left_wall"]), float(row["value"])))
     return {key: np.array(rows).T for key, rows in out.items()}
 
 

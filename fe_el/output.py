@@ -58,8 +58,10 @@ def adaptive_steps(fluid, end_time, courant=0.5, first=None, largest=np.inf, gro
         while time < end_time * (1 - 1e-12):
             rate = fluid.courant(1.0)
             wanted = min(courant / rate if rate > 0 else np.inf, largest)
-            dt = min(wanted, np.inf if dt is None else growth * dt) if time > fluid.time or fluid.step else min(wanted,
-                                                                                                                dt or np.inf)
+            if time > fluid.time or fluid.step:
+                dt = min(wanted, np.inf if dt is None else growth * dt)
+            else:
+                dt = min(wanted, dt or np.inf)
             if not np.isfinite(dt):
                 raise ValueError("The fluid is at rest, so its Courant number gives no step; pass first= or largest= [s].")
             left = end_time - time

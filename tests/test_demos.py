@@ -235,8 +235,8 @@ def test_fluid_error(folder, monkeypatch, capfd):
 def test_cases_for_ico_foam_are_complete(folder):
     """All files of a case, with its mesh, patches and step."""
     from pathlib import Path
-    ico_foam.write_case(folder + "/case", (1, 1, 1), (2, 3, 4), {"walls": ("wall", "", "x- x+ y- y+ z- z+", "type noSlip;",
-                                                                           "type zeroGradient;")},
+    ico_foam.write_case(folder + "/case", (1, 1, 1), (2, 3, 4),
+                        {"walls": ("wall", "", "x- x+ y- y+ z- z+", "type noSlip;", "type zeroGradient;")},
                         1e-3, 0.25, 8, ico_foam.vectors([(1.0, 2.0)]))
     text = {p.name: p.read_text() for p in Path(folder + "/case").rglob("*") if p.is_file()}
     assert set(text) == {"blockMeshDict", "controlDict", "fvSchemes", "fvSolution", "decomposeParDict",

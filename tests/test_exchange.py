@@ -23,8 +23,8 @@ def test_complete_sums_are_the_same_to_the_last_digit_on_all_ranks():
     """Parts that differ in size by 1e12, so that the order of a sum shows: every rank must have added in the same order."""
     halo, number = nodes()
     rng = np.random.default_rng(COMM.rank)
-    one, three = (rng.normal(size=(len(number), *shape)) * 10.0 ** rng.uniform(-6, 6, (len(number),
-                                                                                       *shape)) for shape in ((), (3,)))
+    one, three = (rng.normal(size=(len(number), *shape)) * 10.0 ** rng.uniform(-6, 6, (len(number), *shape))
+                  for shape in ((), (3,)))
     parts = COMM.allgather((number, one.copy(), three.copy()))
     halo.complete(one, three)
     total = np.zeros((125, 4))

@@ -81,8 +81,8 @@ def test_a_sphere_rolls_straight_over_needles():
     low, high = np.column_stack([along, 0 * along, 0 * along]), np.column_stack([along + 0.013, 0.03 + 0 * along, 0 * along])
     top = np.array([[0.02, 0.015, 0.03]])
     x = np.concatenate([low, high, top])
-    cells = np.array([c for k in range(n) for c in ((k, k + 1, n + 1 + k, 2 * n + 2), (k + 1, n + 1 + k, n + 2 + k,
-                                                                                       2 * n + 2))])
+    cells = np.array([c for k in range(n)
+                      for c in ((k, k + 1, n + 1 + k, 2 * n + 2), (k + 1, n + 1 + k, n + 2 + k, 2 * n + 2))])
     mesh = dmesh.create_mesh(MPI.COMM_SELF, cells.astype(np.int64), x,
                              ufl.Mesh(ufl.VectorElement("Lagrange", "tetrahedron", 1)))
     mesh.topology.create_connectivity(2, 3)

@@ -212,8 +212,8 @@ class Coupling:
         """Drag coefficient of each particle, checked."""
         p, sauter = self.particles, None
         if self.drag.polydisperse:
-            sums = self._gather(self._on_cells(self._to_cells(np.hstack([self.volume,
-                                                                         self.volume / p.primary_diameter[:, None]]))))
+            sizes = np.hstack([self.volume, self.volume / p.primary_diameter[:, None]])
+            sums = self._gather(self._on_cells(self._to_cells(sizes)))
             sauter = sums[:, 0] / sums[:, 1]
         beta = self.drag.coefficient(solid, slip, p.primary_diameter, self.density, self.viscosity, sauter)
         i, message = loops.first_bad(beta), None

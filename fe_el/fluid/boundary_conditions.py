@@ -74,8 +74,8 @@ class Boundaries:
         for group in self._numbers(groups):
             self._conditions[group] = kind, self.boundary(group), *what
         self.inlets, self.outlets, self.no_slip, self.slip = (
-            [tuple(c[1:]) for c in self._conditions.values() if c[0] == k] for k in ("velocity", "pressure", "no slip",
-                                                                                     "slip"))
+            [tuple(c[1:]) for c in self._conditions.values() if c[0] == k]
+            for k in ("velocity", "pressure", "no slip", "slip"))
         self.ready = False
 
     def set_velocity(self, groups, value):

@@ -77,9 +77,8 @@ class Scalar:
         _, nodes, places = self._open
         if not (air.inlets or air.outlets):
             return
-        supply, through, scale = work.empty("supply_of_mass", air.num_cells), work.zeros("through",
-                                                                                         air.nodes), work.zeros("scale",
-                                                                                                                air.nodes)
+        supply = work.empty("supply_of_mass", air.num_cells)
+        through, scale = work.zeros("through", air.nodes), work.zeros("scale", air.nodes)
         supply[:] = air.rate
         if air.mass_source is not None:
             supply -= air.at_cells(air.mass_source, (air.num_cells,), air.time - 0.5 * dt)
@@ -91,8 +90,7 @@ class Scalar:
         for facets, value in self.inflow:
             self.outside[facets.nodes] = value(air.time) if callable(value) else value
         node_kernels.pass_boundaries(nodes, air.owned_nodes, places, through, old, self.outside,
-                                     0.5 if air.second_order else 1.0,
-                                     self.matrix.values, rhs)
+                                     0.5 if air.second_order else 1.0, self.matrix.values, rhs)
 
     def advance(self, dt):
         """Advance by ``dt`` [s], the step that the fluid has just made.

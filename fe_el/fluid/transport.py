@@ -50,8 +50,8 @@ class Transport:
         """
         d, work = self.dimension, self.work
         start = work.zeros("start", self.nodes, d) if self.nodal_velocity is None else self.nodal_velocity
-        sums, u, self.mass0 = work.zeros("sums", self.nodes, 2 + 2 * d), work.empty("relaxed", self.nodes,
-                                                                                    d), work.empty("mass0", self.nodes)
+        sums, u = work.zeros("sums", self.nodes, 2 + 2 * d), work.empty("relaxed", self.nodes, d)
+        self.mass0 = work.empty("mass0", self.nodes)
         kernels.mass_and_misfit(self.dofs, self.cell_mass0, q, start, self.h, self.viscosity / self.density, dt,
                                 self.damping, self.gain,
                                 self.nodal_gain, self.fades, self.upwind, self.at_wall, sums, self.theta, self.lag)

@@ -146,8 +146,8 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         q = self.work.empty("start_of_cells", n, d)
         q[:] = self.velocity.x.array.reshape(-1, d)[:n]
         rate0, self.rate = self.rate, self.work.other("rate", self.rate, n)
-        self.cell_mass0, self.cell_mass, self.damping = (self.work.empty(k, n) for k in ("cell_mass0", "cell_mass",
-                                                                                         "damping"))
+        self.cell_mass0, self.cell_mass, self.damping = (self.work.empty(k, n)
+                                                         for k in ("cell_mass0", "cell_mass", "damping"))
         moves = cell_kernels.begin(self.density, dt, phi0, phi, drag, self.volume, self.rate, self.cell_mass0,
                                    self.cell_mass,
                                    self.damping)

@@ -104,8 +104,7 @@ def held_directions(fluid, walls):
     Returns:
         nodes that have a direction free (one entry for each direction), the directions (entries, d), and nodes without any.
         The first direction of a node is that of its facets' area vectors, which fits the balance of mass; where its facets
-        meet
-        at an edge or corner there are others.
+        meet at an edge or corner there are others.
 
     Note:
         Collective.
@@ -150,8 +149,8 @@ class WallFriction:
     def __init__(self, fluid, walls):
         self.fluid, self.walls, d = fluid, walls, fluid.dimension
         none = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, d)))]
-        cell, local, vector = (np.concatenate(a) for a in zip(*(none + [(f.cell, f.local, f.area_normal) for f, _,
-                                                                        _ in walls])))
+        cell, local, vector = (np.concatenate(a)
+                               for a in zip(*(none + [(f.cell, f.local, f.area_normal) for f, _, _ in walls])))
         area = np.linalg.norm(vector, axis=1)
         self.normal = vector / area[:, None]
         self.facets = Facets(cell, local, np.column_stack([area, area / d, d * fluid.volume[cell] / area]),

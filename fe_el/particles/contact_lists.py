@@ -97,8 +97,8 @@ class ContactLists:
         speeds = np.sqrt((p.velocity ** 2).sum(1))
         room = self._room(speeds)
         x, pairs = self._pairs(room)
-        self.radius, self.inverse_mass = self.ghosts.grow(p.diameter / 2), self.ghosts.grow(np.where(p.held, 0.0,
-                                                                                                     1 / p.mass))
+        self.radius = self.ghosts.grow(p.diameter / 2)
+        self.inverse_mass = self.ghosts.grow(np.where(p.held, 0.0, 1 / p.mass))
         self.ids, self.material = self.ghosts.grow(p.id), self.ghosts.grow(p.material).view(np.uint32)
         self.x, (self.state, self.force) = np.empty((len(self.radius), 3)), (aligned(len(self.radius), 8) for _ in range(2))
         self.state[:, 0], self.state[:, 7] = self.radius, self.inverse_mass / self.radius

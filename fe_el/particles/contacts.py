@@ -56,8 +56,8 @@ class Contacts:
         self._check_materials()
         self._sub_steps, self._all_forces = Direct(sub_steps), Direct(all_forces)
         self.lists = contact_lists.ContactLists(particles, self.walls, skin, self._spring_width())
-        self.block, self.step, self.layout, self.stale, self.ranks = (new_block(),
-                                                                      new_block()), 1, None, False, ranks_of(particles.comm)
+        self.block, self.ranks = (new_block(), new_block()), ranks_of(particles.comm)
+        self.step, self.layout, self.stale = 1, None, False
         self.seconds = {"neighbours": 0.0, "contacts": 0.0}
         self.touching, self.touching_walls, self.largest_overlap, self.steps_last, self.behind = 0, 0, 0.0, 0, None
 

@@ -72,8 +72,8 @@ class Inlet:
         self.area = np.linalg.norm(normal, axis=1)
         self.normal = normal / self.area[:, None]
         self._inwards()
-        every, chosen = _mesh.exterior_facets(particles.mesh, facet_tags, _mesh.require_groups(particles.mesh, facet_tags,
-                                                                                               group))
+        every, chosen = _mesh.exterior_facets(particles.mesh, facet_tags,
+                                              _mesh.require_groups(particles.mesh, facet_tags, group))
         self.others, self.balls = every[~chosen], facet_balls(every[~chosen]) if not chosen.all() else np.zeros((0, 7))
         self.generator = np.random.default_rng(seed)
         self.inserted, self.waiting, self.next = 0, 0.0, None

@@ -13,8 +13,8 @@ from numba.extending import intrinsic
 
 from fe_el.particles.law_kernels import BLOCK
 
-NUMBER, INDEX, VECTOR, ORDER = ir.DoubleType(), ir.IntType(64), ir.VectorType(ir.DoubleType(),
-                                                                              4), ir.VectorType(ir.IntType(32), 4)
+NUMBER, INDEX = ir.DoubleType(), ir.IntType(64)
+VECTOR, ORDER = ir.VectorType(NUMBER, 4), ir.VectorType(ir.IntType(32), 4)
 FLAGS = ("contract",)  # a product and a sum may become one instruction
 WIDTH = 8  # numbers in a row of a particle
 

@@ -135,8 +135,7 @@ def sub_steps(most, h, age, wall_rate, particles, drift, ghosts, ranks, waves, p
         else:
             moved, speed, change, touching, back, deepest, near = wave(
                 number, ahead, h, particles, drift, ghosts, waves, pairs, found, near, facets, shapes, walls,
-                                                                       step + made + 1,
-                block, laws, deepest)
+                step + made + 1, block, laws, deepest)
         behind, made, part = max(behind, back), made + number, 1.0
         room = 1 - math.sqrt(moved)
         stale = not room >= 0 or wall_rate * h * (age + made) > 1
