@@ -23,17 +23,27 @@ def end_all_ranks_on_errors(comm):
     sys.excepthook = _end
 
 
+def wait_for_all(comm, patience):
+    """Whether every rank of ``comm`` has come here within ``patience`` [s]; unlike a barrier it never waits for a lost rank.
+
+    Note:
+        Collective, if it can be.
+    """
+    request, until = comm.Ibarrier(), time.monotonic() + patience
+    everywhere = request.Test()
+    while not everywhere and time.monotonic() < until:
+        time.sleep(0.001)
+        everywhere = request.Test()
+    return everywhere
+
+
 def _end(kind, error, trace):
     """Print the error, once if every rank has come to it within the patience, and abort."""
     comm, plain = _installed[0]
     if issubclass(kind, KeyboardInterrupt):
         plain(kind, error, trace)
     else:
-        request, until = comm.Ibarrier(), time.monotonic() + PATIENCE
-        everywhere = request.Test()
-        while not everywhere and time.monotonic() < until:
-            time.sleep(0.01)
-            everywhere = request.Test()
+        everywhere = wait_for_all(comm, PATIENCE)
         if everywhere and comm.rank:
             time.sleep(PATIENCE)  # rank 0 speaks for all
         else:

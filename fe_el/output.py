@@ -11,6 +11,7 @@ import numpy as np
 from mpi4py import MPI
 from tqdm import tqdm
 
+from fe_el.failures import PATIENCE, wait_for_all
 from fe_el.mesh import owned_corners
 
 
@@ -132,21 +133,22 @@ class ParaViewOutput:
         if error is not None and self.remembered is not None and not isinstance(error, KeyboardInterrupt):
             time = self.remembered[0]
             if not self.written["times"] or time > self.written["times"][-1]:
-                self._write(*self.remembered)
+                self._write(*self.remembered, patience=PATIENCE)  # other ranks may not come here
             if self.comm.rank == 0:
                 print(f"The run stopped after time {time:g} s; {self.folder} has the last good state.", file=sys.stderr)
         return False
 
-    def _write(self, time, particles, values):
+    def _write(self, time, particles, values, patience=np.inf):
         self.written["times"].append(time)
         fluid = self._fluid_data(values)
         if particles is not None:
             position, data = particles
-            self._piece("particles", time, meshio.Mesh(position, [("vertex", np.arange(len(position)).reshape(-1, 1))],
-                                                       point_data=data))
+            vertices = [("vertex", np.arange(len(position)).reshape(-1, 1))]
+            self._piece("particles", time, meshio.Mesh(position, vertices, point_data=data), patience)
         if fluid is not None:
             cell_data, point_data = fluid
-            self._piece("fluid", time, meshio.Mesh(self.points, self.cells, point_data=point_data, cell_data=cell_data))
+            self._piece("fluid", time, meshio.Mesh(self.points, self.cells, point_data=point_data, cell_data=cell_data),
+                        patience)
 
     def _particle_data(self):
         """Copies of what is written of the particles; ``None`` without particles."""
@@ -185,13 +187,14 @@ class ParaViewOutput:
                     frames.setdefault(float(when), []).append(file)
         return self.comm.bcast(sorted(frames.items()))
 
-    def _piece(self, name, time, piece):
+    def _piece(self, name, time, piece, patience):
         if not self.written[name]:
             self.written[name] = self._frames(name, time)
         number = 1 + max((int(files[0].split("_")[-2]) for _, files in self.written[name]), default=-1)
         files = [f"{name}_{number:05d}_{r}.vtu" for r in range(self.comm.size)]
         meshio.write(self.folder / files[self.comm.rank], piece, file_format="vtu")
         self.written[name].append((time, files))
+        wait_for_all(self.comm, patience)  # the collection names pieces that are whole, those of other ranks too
         if self.comm.rank == 0:
             rows = "".join(f'<DataSet timestep="{t:.9g}" part="{r}" file="{f}"/>\n' for t, fs in self.written[name]
                            for r, f in enumerate(fs))
