@@ -96,7 +96,7 @@ def linear_by_hand(stiffness, restitution, friction):
     damping = 2 * log / np.hypot(np.pi, log)
 
     def law(overlap, vn, vt, spring, mass, radius, dt):
-        eta = damping * np.sqrt(stiffness * mass)
+        eta = damping * np.sqrt(stiffness * mass) * (1 - 0.48 * dt ** 2 * stiffness / mass)
         fn = stiffness * overlap - eta * vn
         spring = spring + dt * vt
         ft = -2 / 7 * stiffness * spring - 0.5 * eta[:, None] * vt

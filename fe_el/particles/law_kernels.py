@@ -28,6 +28,7 @@ BLOCK = 264  # no power of two: the rows of one contact would share few sets of 
 ROWS = 35
 FAST = {"contract", "reassoc", "nsz", "arcp"}  # no finite-math assumption: NaN must stay visible
 B = BLOCK
+LAG = 0.48  # what a sub-step h adds to the damping, over h^2 k / m*: 0.38 to 0.56 for restitutions from 0.1 to 0.97
 
 
 def aligned(rows, width):
@@ -74,14 +75,14 @@ def geometry(b, m):
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def linear(b, m):
-    """Linear spring-dashpot: F_n = k overlap - eta v_n.
+def linear(b, m, h):
+    """Linear spring-dashpot: F_n = k overlap - eta v_n, eta less by ``LAG`` for the sub-step h.
 
     Sets rows 11 (F_n), 31 (tangential stiffness), 32 (tangential damping) and 33 (normal stiffness).
     """
     for n in range(m):
         k = b[n + 17 * B]
-        eta = b[n + 18 * B] * math.sqrt(k / b[n + 12 * B])
+        eta = b[n + 18 * B] * math.sqrt(k / b[n + 12 * B]) * (1.0 - LAG * h * h * k * b[n + 12 * B])
         b[n + 11 * B] = k * b[n + 4 * B] - eta * (b[n + 10 * B] + b[n + 34 * B] * (b[n + 10 * B] - b[n + 16 * B]))
         b[n + 16 * B] = b[n + 10 * B]
         b[n + 31 * B] = b[n + 20 * B] * k
@@ -90,14 +91,14 @@ def linear(b, m):
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def hertz(b, m):
+def hertz(b, m, h):
     """Hertz-Mindlin: F_n = 4/3 E* sqrt(R* d) d, k_t = 8 G* sqrt(R* d), damping of constant restitution (Tsuji et al.
-    1992)."""
+    1992), less by ``LAG`` for the sub-step h."""
     for n in range(m):
         overlap, inverse_mass, damping = b[n + 4 * B], b[n + 12 * B], b[n + 18 * B]
         k = 2.0 * b[n + 17 * B] * math.sqrt(b[n + 22 * B] * overlap)
         kt = 4.0 * b[n + 20 * B] * k
-        eta = damping * math.sqrt(k / inverse_mass)
+        eta = damping * math.sqrt(k / inverse_mass) * (1.0 - LAG * h * h * k * inverse_mass)
         un = b[n + 10 * B] + b[n + 34 * B] * (b[n + 10 * B] - b[n + 16 * B])
         b[n + 11 * B] = 2.0 / 3.0 * k * overlap - eta * un
         b[n + 16 * B] = b[n + 10 * B]
@@ -185,9 +186,9 @@ def apply_law(b, m, h, numbers):
     """The built-in law of a block, with cohesion and rolling friction where they are present."""
     geometry(b, m)
     if numbers.kind == 0:
-        linear(b, m)
+        linear(b, m, h)
     else:
-        hertz(b, m)
+        hertz(b, m, h)
     tangential(b, m, h)
     if numbers.cohesive:
         cohesion(b, m)
