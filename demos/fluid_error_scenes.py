@@ -8,11 +8,13 @@ import sys
 import time
 from pathlib import Path
 
+import mpi4py.MPI  # noqa: F401  # isort: skip (the wheels of dolfinx find their MPI through it)
 import numpy as np
 from dolfinx import fem
 from scipy.interpolate import RegularGridInterpolator
 
 import fe_el
+from fe_el.dolfinx_api import vector_space
 from fe_el.mesh import barycentric_maps, owned_corners
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
@@ -126,7 +128,7 @@ def cavity_of_fe_el(n, end_time):
     for side in (1, 2, 3):
         air.set_no_slip(side)
     seconds = march(air, FE_EL_STEP, round(end_time / FE_EL_STEP))
-    nodal = fem.Function(fem.VectorFunctionSpace(mesh, ("CG", 1)))
+    nodal = fem.Function(vector_space(mesh, "P", 1))
     nodal.x.array.reshape(-1, 2)[:] = air.nodal_velocity
     return compared(air.num_cells, seconds, lambda x: fe_el.Probe([nodal], x).values()[0])
 

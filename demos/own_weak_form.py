@@ -4,12 +4,13 @@ import argparse
 import logging
 import time
 
+from mpi4py import MPI  # isort: skip (the wheels of dolfinx find their MPI through it)
 import numpy as np
 import ufl
 from dolfinx import fem
-from mpi4py import MPI
 
 import fe_el
+from fe_el.dolfinx_api import linear_problem, taylor_hood_space
 
 RHO, MU, INLET_SPEED, SIZE = 1.2, 1.8e-5, 0.3, 0.02
 
@@ -36,8 +37,7 @@ def main(dimension=2, cells=6, particles=400, end_time=0.02, time_step=5e-4, out
     beads.insert_in_box((0.1 * SIZE,) * d, (0.9 * SIZE,) * d, particles, diameter=5e-4, seed=1)
 
     # -- the fluid: momentum of model A and continuity, implicit Euler, Taylor-Hood ------------------------------------
-    space = fem.FunctionSpace(mesh, ufl.MixedElement(ufl.VectorElement("CG", mesh.ufl_cell(), 2),
-                                                     ufl.FiniteElement("CG", mesh.ufl_cell(), 1)))
+    space = taylor_hood_space(mesh)
     new, old = fem.Function(space), fem.Function(space)
     (u, p), (v, q), (u_new, p_new), (u_old, _) = (ufl.TrialFunctions(space), ufl.TestFunctions(space), ufl.split(new),
                                                   ufl.split(old))
@@ -63,7 +63,7 @@ def main(dimension=2, cells=6, particles=400, end_time=0.02, time_step=5e-4, out
            fem.dirichletbc(still, on(0, velocity_space, *sides), space.sub(0)),
            fem.dirichletbc(outside, on(1, pressure_space, top), space.sub(1))]
     solver = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
-    problem = fem.petsc.LinearProblem(a, L, bcs, new, petsc_options=solver)
+    problem = linear_problem(a, L, bcs, new, solver)
 
     # -- the loop ------------------------------------------------------------------------------------------------------
     out = fe_el.ParaViewOutput(output, beads, [void, drag], every=end_time / 10)

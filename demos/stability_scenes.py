@@ -1,9 +1,10 @@
 """Scenes of the stability map: a fluid alone in a box, with one parameter far out of the ordinary."""
+from mpi4py import MPI  # isort: skip (the wheels of dolfinx find their MPI through it)
 import numpy as np
 from dolfinx import fem
-from mpi4py import MPI
 
 import fe_el
+from fe_el.dolfinx_api import scalar_space, vector_space
 
 PI, PERIOD = np.pi, 20  # steps in which a redrawn void fraction goes up and down
 DEFAULTS = {"reynolds": 1e4, "courant": 0.5, "drag_number": 0.0, "drag": None, "redraw": False, "void": None, "motion": None,
@@ -75,7 +76,7 @@ class Scene:
         self.mesh, self.tags = (sliver_box(cells, c["angle"]) if c["angle"] else fe_el.box((2.0, 1.0), (2 * cells, cells))
                                 if c["swirl"] else fe_el.periodic_box((1.0, 1 / c["stretch"]), (cells, cells)))
         self.rng = np.random.default_rng(7 + self.mesh.comm.rank)
-        scalar, vector = fem.FunctionSpace(self.mesh, ("DG", 0)), fem.VectorFunctionSpace(self.mesh, ("DG", 0))
+        scalar, vector = scalar_space(self.mesh, "DG", 0), vector_space(self.mesh, "DG", 0)
         self.fields = fem.Function(scalar), fem.Function(scalar), fem.Function(vector)
         air = self.air = self.fluid(time_order)
         self.steps = np.random.default_rng(5)

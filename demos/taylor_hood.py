@@ -1,7 +1,10 @@
 """A fluid of the user's own to compare with: Taylor-Hood elements in UFL, one linear problem a step, solved by MUMPS."""
+import mpi4py.MPI  # noqa: F401  # isort: skip (the wheels of dolfinx find their MPI through it)
 import numpy as np
 import ufl
-from dolfinx import fem, geometry
+from dolfinx import fem
+
+from fe_el.dolfinx_api import cells_at, interpolation_points, linear_problem, petsc_vector, taylor_hood_space, vector_space
 
 DIRECT = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
 # theta, and w as parts of u_1 and u_2
@@ -32,8 +35,7 @@ class TaylorHood:
 
     def __init__(self, mesh, density, viscosity, walls=(), time_order=2, grad_div=1.0, explicit=False):
         self.mesh, self.time_order, self.explicit, self.step, self.matrix_of = mesh, time_order, explicit, 0, None
-        cell = mesh.ufl_cell()
-        space = fem.FunctionSpace(mesh, ufl.MixedElement(ufl.VectorElement("CG", cell, 2), ufl.FiniteElement("CG", cell, 1)))
+        space = taylor_hood_space(mesh)
         self.new, self.old, self.older = fem.Function(space), fem.Function(space), fem.Function(space)
         rho, mu, gamma, self.dt = (fem.Constant(mesh, float(c)) for c in (density, viscosity, grad_div, 1.0))
         self.weights = theta, part_1, part_2 = [fem.Constant(mesh, c) for c in EULER]
@@ -46,9 +48,9 @@ class TaylorHood:
                                 v) + mu * ufl.inner(ufl.grad(m), ufl.grad(v)) - p * ufl.div(v)
                 + rho * gamma * ufl.div(u) * ufl.div(v) - q * ufl.div(u)) * ufl.dx
         a, L = ufl.system(form)
-        self.problem = fem.petsc.LinearProblem(a, L, self._conditions(space, walls), self.new, petsc_options=DIRECT)
-        self.cell_velocity = fem.Function(fem.VectorFunctionSpace(mesh, ("DG", 0)))
-        self.at_centres = fem.Expression(self.new.sub(0), self.cell_velocity.function_space.element.interpolation_points())
+        self.problem = linear_problem(a, L, self._conditions(space, walls), self.new, DIRECT)
+        self.cell_velocity = fem.Function(vector_space(mesh, "DG", 0))
+        self.at_centres = fem.Expression(self.new.sub(0), interpolation_points(self.cell_velocity.function_space))
 
     def _conditions(self, space, walls):
         """Velocities of the walls, and one pressure, which a closed domain leaves open."""
@@ -87,7 +89,7 @@ class TaylorHood:
         fem.petsc.assemble_vector(problem.b, problem.L)
         fem.petsc.apply_lifting(problem.b, [problem.a], bcs=[problem.bcs])
         fem.petsc.set_bc(problem.b, problem.bcs)
-        problem.solver.solve(problem.b, self.new.vector)
+        problem.solver.solve(problem.b, petsc_vector(self.new))
 
     def at_cells(self):
         """Velocity (cells, d) at the centres of the cells."""
@@ -96,6 +98,4 @@ class TaylorHood:
 
     def at_points(self, points):
         """Velocity (points, d) at points (points, 3)."""
-        tree = geometry.BoundingBoxTree(self.mesh, self.mesh.topology.dim)
-        near = geometry.compute_colliding_cells(self.mesh, geometry.compute_collisions(tree, points), points)
-        return self.new.sub(0).eval(points, [near.links(k)[0] for k in range(len(points))])
+        return self.new.sub(0).eval(points, cells_at(self.mesh, points))

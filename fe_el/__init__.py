@@ -13,6 +13,9 @@ Every public call is collective unless it says otherwise; all numbers are in SI 
 Names are loaded when first used, so a scene without fluid never imports the fluid.
 """
 import importlib
+import importlib.metadata
+
+from fe_el import dolfinx_api  # noqa: F401 (says at once when dolfinx is missing)
 
 _HOME = {
     "VolumeAveragedNavierStokes": "fluid.volume_averaged_navier_stokes", "SolverDiverged": "fluid.linear_solver",
@@ -30,7 +33,7 @@ _HOME = {
     "HelmholtzSmoothing": "coupling.smoothing", "PatchAverage": "coupling.smoothing", "SatellitePoints": "coupling.mapping",
     "ParticleCentred": "coupling.mapping", "HatKernel": "coupling.mapping", "WellMixed": "coupling.mapping",
     "OverlapVolume": "coupling.overlap",
-    "read_mesh": "mesh", "mesh_geo": "mesh", "box": "box_mesh", "periodic_box": "periodic_mesh",
+    "read_mesh": "gmsh_files", "mesh_geo": "gmsh_files", "box": "box_mesh", "periodic_box": "periodic_mesh",
     "time_steps": "output", "adaptive_steps": "output", "ParaViewOutput": "output", "write_summary": "output",
     "stage_seconds": "output", "save_checkpoint": "checkpoint", "load_checkpoint": "checkpoint",
 }
@@ -39,6 +42,8 @@ __all__ = list(_HOME) + list(_MODULES)
 
 
 def __getattr__(name):
+    if name == "__version__":
+        return importlib.metadata.version("fe_el")
     if name in _MODULES:
         return importlib.import_module("fe_el.coupling." + name)
     if name not in _HOME:

@@ -5,6 +5,7 @@ import numpy as np
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
+from fe_el.dolfinx_api import geometry_nodes
 from fe_el.partition import create_mesh
 
 SIDES = {"x-": 1, "x+": 2, "y-": 3, "y+": 4, "z-": 5, "z+": 6}
@@ -46,14 +47,13 @@ def box(lengths, cells, comm=MPI.COMM_WORLD, slices_along=None):
         comm = MPI.COMM_SELF
     corners = [np.zeros(d), np.asarray(lengths, float)]
     if d == 2:
-        mesh = dmesh.create_rectangle(comm, corners, cells, dmesh.CellType.triangle,
+        mesh = dmesh.create_rectangle(comm, corners, cells, dmesh.CellType.triangle, ghost_mode=dmesh.GhostMode.shared_facet,
                                       diagonal=dmesh.DiagonalType.crossed)
     else:
-        mesh = dmesh.create_box(comm, corners, cells, dmesh.CellType.tetrahedron)
+        mesh = dmesh.create_box(comm, corners, cells, dmesh.CellType.tetrahedron, ghost_mode=dmesh.GhostMode.shared_facet)
     if slices_along is not None:
-        nodes = mesh.geometry.dofmap.array.reshape(-1, d + 1) if whole.rank == 0 else np.zeros((0, d + 1), np.int64)
-        mesh = create_mesh(whole, nodes, mesh.geometry.x[:, :d] if whole.rank == 0 else np.zeros((0, d)), mesh.ufl_domain(),
-                           slices_along)
+        nodes = geometry_nodes(mesh) if whole.rank == 0 else np.zeros((0, d + 1), np.int64)
+        mesh = create_mesh(whole, nodes, mesh.geometry.x[:, :d] if whole.rank == 0 else np.zeros((0, d)), slices_along)
     facets, values = [], []
     for k in range(d):
         for side, at in enumerate((0.0, lengths[k])):

@@ -1,15 +1,11 @@
 """From a dolfinx mesh to plain arrays: cell geometry, neighbours and the halo of cells of other ranks."""
-import re
-import tempfile
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from mpi4py import MPI
 from scipy.spatial import cKDTree
 
+from fe_el.dolfinx_api import geometry_nodes
 from fe_el.exchange import Halo
-from fe_el.failures import end_all_ranks_on_errors
 
 
 class CellMesh(NamedTuple):
@@ -31,20 +27,28 @@ class CellMesh(NamedTuple):
 
 
 def check_simplices(mesh):
-    """Raise ``ValueError`` unless the cells are triangles or tetrahedra that fill the space they live in."""
+    """Raise ``ValueError`` unless the cells are triangles or tetrahedra that fill their space, with ghosts between ranks.
+
+    Note:
+        Collective.
+    """
     name, d = mesh.topology.cell_name(), mesh.topology.dim
     if name not in ("triangle", "tetrahedron"):
         raise ValueError(f"The mesh has cells of type {name}; fe_el needs triangles (2D) or tetrahedra (3D). "
                          "Mesh the geometry with simplices (gmsh does by default: remove Recombine).")
     if mesh.geometry.dim != d:
         raise ValueError(f"The mesh has {name} cells in {mesh.geometry.dim} dimensions; read it with gdim={d}.")
+    ghosts, shared = mesh.comm.allreduce(np.array([mesh.topology.index_map(k).num_ghosts for k in (d, 0)]))
+    if shared and not ghosts:  # facets between ranks would be taken for boundaries
+        raise ValueError("The mesh has no ghost cells between its ranks; make it with "
+                         "create_cell_partitioner(GhostMode.shared_facet), or by fe_el.read_mesh, mesh_geo or box.")
 
 
 def owned_corners(mesh):
     """Vertex coordinates (cells, d+1, 3) and global vertex numbers (cells, d+1) of the owned cells."""
     d = mesh.topology.dim
     n = mesh.topology.index_map(d).size_local
-    corner = mesh.geometry.x[mesh.geometry.dofmap.array.reshape(-1, d + 1)[:n]]
+    corner = mesh.geometry.x[geometry_nodes(mesh)[:n]]
     local = mesh.topology.connectivity(d, 0).array.reshape(-1, d + 1)[:n]
     vertex = mesh.topology.index_map(0).local_to_global(local.ravel().astype(np.int32)).reshape(n, d + 1)
     return corner.copy(), vertex.astype(np.int64)
@@ -149,7 +153,7 @@ def cell_mesh(mesh, halo_width=0.0, thickness=1.0, period=None):
     # points are located as if moved by this much: a point on a facet is in the same cell whatever the order of the cells
     barycentric[:, :, 3] += barycentric[:, :, :3] @ (1e-12 * size * np.array([1.0, 0.618, 0.382]))
     neighbour, facet = facet_neighbours(corner, vertex)
-    unique, local = np.unique(vertex, return_inverse=True)
+    unique, local = np.unique(vertex.ravel(), return_inverse=True)
     order = np.argsort(local, kind="stable")
     start = np.concatenate([[0], np.cumsum(np.bincount(local, minlength=len(unique)))])
     arrays = CellMesh(corner, barycentric, neighbour, _facet_shifts(corner, vertex, neighbour, facet),
@@ -246,103 +250,3 @@ def require_groups(mesh, facet_tags, groups):
             raise ValueError(f"The mesh has no boundary group {group}; it has {present}. "
                              "Use one of these, or tag the facets (gmsh: Physical Surface).")
     return groups
-
-
-def read_mesh(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None):
-    """Read a gmsh ``.msh`` file with physical groups: (mesh, cell tags, facet tags).
-
-    ``slices_along`` (0, 1 or 2) gives every rank a slice across that axis; absent: dolfinx partitions by the graph of cells.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: for a file that gmsh cannot read, cells that are not simplices, or cells that are not in exactly one
-            group.
-    """
-    import gmsh
-    from dolfinx.io import gmshio
-    end_all_ranks_on_errors(comm)
-    if not Path(path).is_file():
-        raise FileNotFoundError(f"There is no mesh file {path}; give the path of a gmsh .msh file.")
-    message = None
-    if comm.rank == 0:
-        gmsh.initialize()
-        gmsh.option.setNumber("General.Terminal", 0)
-        try:
-            gmsh.open(str(path))
-        except Exception as error:  # gmsh raises nothing narrower
-            message = f"gmsh cannot read {path}: {error}; give a .msh file that gmsh wrote."
-    _end_if(gmsh, comm, message)
-    return _from_gmsh(gmsh, gmshio, comm, dimension, slices_along)
-
-
-def mesh_geo(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None, **parameters):
-    """Mesh a gmsh ``.geo`` file with the given values of its parameters: (mesh, cell tags, facet tags).
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: for a parameter that the file does not define in ``DefineConstant``, or cells that are not simplices.
-    """
-    import gmsh
-    from dolfinx.io import gmshio
-    end_all_ranks_on_errors(comm)
-    if not Path(path).is_file():
-        raise FileNotFoundError(f"There is no geometry file {path}; give the path of a gmsh .geo file.")
-    blocks = re.findall(r"DefineConstant\s*\[(.*?)\]", Path(path).read_text(), re.DOTALL)
-    known = sorted(set(re.findall(r"(\w+)\s*=", " ".join(blocks))))
-    for name in parameters:
-        if name not in known:
-            raise ValueError(f"{Path(path).name} has no parameter {name!r}; it has {', '.join(known) or 'none'}.")
-    if comm.rank == 0:
-        gmsh.initialize(["fe_el", "-v", "0"])
-        with tempfile.TemporaryDirectory() as folder:  # numbers on gmsh's command line would stay in force until Python ends
-            lines = [f"{name} = {float(value)!r};\n" for name, value in parameters.items()]
-            (Path(folder) / "scene.geo").write_text("".join(lines) + f'Include "{Path(path).resolve()}";\n')
-            gmsh.open(str(Path(folder) / "scene.geo"))
-        gmsh.model.mesh.generate(dimension)
-    return _from_gmsh(gmsh, gmshio, comm, dimension, slices_along)
-
-
-def _end_if(gmsh, comm, message):
-    """Close gmsh and raise ``ValueError`` on every rank if rank 0 has a message. Collective."""
-    message = comm.bcast(message)
-    if message:
-        if comm.rank == 0:
-            gmsh.finalize()
-        raise ValueError(message)
-
-
-def _fault(gmsh, dimension):
-    """What makes gmsh's present model no mesh for fe_el, in a sentence; ``None``: nothing."""
-    model, wanted = gmsh.model, {2: "Triangle 3", 3: "Tetrahedron 4"}[dimension]
-    kinds = [model.mesh.getElementProperties(k)[0] for k in model.mesh.getElementTypes(dimension)]
-    if any(k != wanted for k in kinds) or not kinds:
-        return (f"The mesh has cells of type {', '.join(kinds) or 'none'}; fe_el needs {wanted} (first-order simplices). "
-                f"Mesh again "
-                f"in {dimension} dimensions, without Recombine and with ElementOrder 1, or give another dimension=.")
-    what = {2: "Surface", 3: "Volume"}[dimension]
-    for _, tag in model.getEntities(dimension):
-        groups = model.getPhysicalGroupsForEntity(dimension, tag)
-        if len(groups) != 1:
-            return (f"{what} {tag} is in {len(groups)} physical groups ({', '.join(map(str, groups)) or 'none'}); every "
-                    f"{what.lower()} "
-                    f"needs exactly one (gmsh: Physical {what}).")
-    if dimension == 2:
-        z = np.asarray(model.mesh.getNodes()[1])[2::3]
-        if len(z) and np.ptp(z) > 1e-9 * max(np.abs(model.mesh.getNodes()[1]).max(), 1e-300):
-            return "The two-dimensional mesh does not lie in a plane of constant z; turn it into the x-y plane."
-    return None
-
-
-def _from_gmsh(gmsh, gmshio, comm, dimension, slices_along):
-    _end_if(gmsh, comm, _fault(gmsh, dimension) if comm.rank == 0 else None)
-    from fe_el import partition
-    plain = gmshio.create_mesh
-    if slices_along is not None:  # model_to_mesh has no argument for it
-        gmshio.create_mesh = lambda comm, cells, x, domain: partition.create_mesh(comm, cells, x, domain, slices_along)
-    try:
-        mesh, cells, facets = gmshio.model_to_mesh(gmsh.model, comm, 0, gdim=dimension)
-    finally:
-        gmshio.create_mesh = plain
-    if comm.rank == 0:
-        gmsh.finalize()
-    return mesh, cells, facets

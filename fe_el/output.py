@@ -11,6 +11,7 @@ import numpy as np
 from mpi4py import MPI
 from tqdm import tqdm
 
+from fe_el.dolfinx_api import dof_table, element_of
 from fe_el.failures import PATIENCE, wait_for_all
 from fe_el.mesh import owned_corners
 
@@ -166,15 +167,15 @@ class ParaViewOutput:
             return None
         cell_data, point_data, n = {}, {}, len(self.cells[0][1])
         for f, array in zip(self.fields, arrays):
-            size, element = f.function_space.dofmap.index_map_bs, f.function_space.ufl_element()
+            size, (_, degree) = f.function_space.dofmap.index_map_bs, element_of(f.function_space)
             values = array.reshape(-1, size)
             if size == 2:
                 values = np.column_stack([values, np.zeros(len(values))])
             values = values[:, 0] if size == 1 else values
-            if element.degree() == 0:
+            if degree == 0:
                 cell_data[f.name] = [values[:n].copy()]
             else:
-                dofs = f.function_space.dofmap.list.array.reshape(len(f.function_space.dofmap.list), -1)[:n]
+                dofs = dof_table(f.function_space)[:n]
                 point_data[f.name] = values[dofs.ravel()]
         return cell_data, point_data
 

@@ -4,12 +4,11 @@ The topology is built from wrapped vertex numbers, the geometry is kept cell by 
 ghosts, function spaces and the walk of particles see the wrap by themselves, and cost nothing at run time.
 """
 import numpy as np
-import ufl
-from dolfinx import cpp
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
 from fe_el.box_mesh import check_box
+from fe_el.dolfinx_api import create_mesh, geometry_nodes, with_geometry
 from fe_el.partition import slices_of
 
 
@@ -22,7 +21,7 @@ def _wrapped_cells(lengths, cells, periodic):
     else:
         box = dmesh.create_rectangle(MPI.COMM_SELF, [np.zeros(2), np.array(lengths, float)], list(cells),
                                      dmesh.CellType.triangle, diagonal=dmesh.DiagonalType.crossed)
-    nodes = box.geometry.dofmap.array.reshape(-1, d + 1)
+    nodes = geometry_nodes(box)
     x = box.geometry.x[:, :d].copy()
     half = np.rint(x / np.array(lengths) * n * 2).astype(np.int64)  # crossed triangles have vertices at the centres
     wrapped = np.where(periodic, half % (2 * n), half)
@@ -30,19 +29,18 @@ def _wrapped_cells(lengths, cells, periodic):
     return number[nodes].astype(np.int64), x[nodes]
 
 
-def _cellwise_geometry(cell_x, domain):
+def _cellwise_geometry(cell_x):
     """A COMM_SELF mesh in which no two cells share a vertex, its cells in the order of ``cell_x``."""
     count, m, d = cell_x.shape
     order = np.arange(count)
     for _ in range(2):  # create_mesh reorders cells: permute once so that the order comes out right
-        out = dmesh.create_mesh(MPI.COMM_SELF, np.arange(count * m, dtype=np.int64).reshape(count, m),
-                                cell_x[order].reshape(-1, d), domain)
+        out = create_mesh(MPI.COMM_SELF, np.arange(count * m).reshape(count, m), cell_x[order].reshape(-1, d))
         got = np.array(out.topology.original_cell_index)
         if np.array_equal(order[got], np.arange(count)):
             break
         order = np.empty(count, int)
         order[got] = np.arange(count)
-    out.geometry.x[out.geometry.dofmap.array, :d] = cell_x.reshape(-1, d)
+    out.geometry.x[geometry_nodes(out).ravel(), :d] = cell_x.reshape(-1, d)
     return out
 
 
@@ -73,23 +71,18 @@ def periodic_box(lengths, cells, periodic=None, comm=MPI.COMM_WORLD, slices_alon
                          f"direction "
                          "and at least 3 cells in every periodic one.")
     numbers, cell_x = _wrapped_cells(lengths, cells, periodic)
-    kind = dmesh.CellType.triangle if d == 2 else dmesh.CellType.tetrahedron
-    domain = ufl.Mesh(ufl.VectorElement("Lagrange", kind.name, 1))
     first = np.zeros((numbers.max() + 1, d))
     first[numbers[::-1].ravel()] = cell_x[::-1].reshape(-1, d)
     root = comm.rank == 0
-    choice = {}
+    slices = None
     if slices_along is not None:
-        choice["partitioner"] = slices_of(cell_x.mean(1) if root else np.zeros((0, d)), numbers if root else numbers[:0],
-                                          slices_along)
-    graph = dmesh.create_mesh(comm, numbers if root else numbers[:0], first if root else first[:0], domain,
-                              ghost_mode=dmesh.GhostMode.shared_facet, **choice)
+        slices = slices_of(cell_x.mean(1) if root else np.zeros((0, d)), numbers if root else numbers[:0], slices_along)
+    graph = create_mesh(comm, numbers if root else numbers[:0], first if root else first[:0], slices)
     original = np.array(graph.topology.original_cell_index)
-    dofs = graph.geometry.dofmap.array.reshape(len(original), -1)
+    dofs = geometry_nodes(graph)
     inputs = np.array(graph.geometry.input_global_indices)[dofs]
     wanted = np.stack([cell_x[original, np.argmax(numbers[original] == inputs[:, [k]], axis=1)] for k in range(d + 1)], 1)
-    geometry = _cellwise_geometry(wanted, domain).geometry
-    mesh = dmesh.Mesh(cpp.mesh.Mesh(comm, graph.topology, geometry), domain)
+    mesh = with_geometry(graph, _cellwise_geometry(wanted))
     mesh.period = np.zeros(3)
     mesh.period[:d] = np.where(periodic, lengths, 0.0)
     return mesh, _side_tags(mesh, lengths, periodic)
@@ -101,7 +94,7 @@ def _side_tags(mesh, lengths, periodic):
     mesh.topology.create_connectivity(d - 1, d)
     mesh.topology.create_connectivity(d, d - 1)
     to_cell, to_facet = mesh.topology.connectivity(d - 1, d), mesh.topology.connectivity(d, d - 1)
-    x = mesh.geometry.x[mesh.geometry.dofmap.array.reshape(-1, d + 1)]
+    x = mesh.geometry.x[geometry_nodes(mesh)]
     facets, values = [], []
     for facet in range(mesh.topology.index_map(d - 1).size_local):
         cells = to_cell.links(facet)

@@ -19,7 +19,7 @@ def settled(density, width=3, d=2.663e-3):
     beads = fe_el.Particles(mesh, density, gravity=(0, 0, -9.81))
     contacts = fe_el.Contacts(beads, fe_el.LinearSpringDashpot(500.0, 0.5, 0.3), walls=(tags, (1, 2, 3, 4, 5, 6)))
     count = int(0.24 * 2 * w ** 3 / (np.pi / 6 * d ** 3))
-    beads.insert_in_box((d / 2,) * 3, (w - d / 2, w - d / 2, 2 * w - d / 2), count, d, seed=1, without_overlap=True)
+    beads.insert_in_box((d / 2,) * 3, (w - d / 2, w - d / 2, 2 * w - d / 2), count, d, seed=3, without_overlap=True)
     for k in range(120):
         beads.advance(5e-3, contacts)
         beads.velocity *= 0.9 if k < 80 else 1.0

@@ -1,10 +1,10 @@
 """Exchange of entries between ranks: sums and copies, on the nodes of a mesh and on random sharings."""
 import numpy as np
 import pytest
-from dolfinx import fem
 from mpi4py import MPI
 
 import fe_el
+from fe_el.dolfinx_api import scalar_space
 from fe_el.exchange import Halo
 
 COMM = MPI.COMM_WORLD
@@ -13,7 +13,7 @@ COMM = MPI.COMM_WORLD
 def nodes():
     """Halo of the nodes of a box, and the global number of each."""
     mesh, _ = fe_el.box((1.0, 1.0, 1.0), (4, 4, 4))
-    index_map = fem.FunctionSpace(mesh, ("CG", 1)).dofmap.index_map
+    index_map = scalar_space(mesh, "P", 1).dofmap.index_map
     here = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
     return Halo.of_index_map(COMM, index_map), index_map.local_to_global(here)
 

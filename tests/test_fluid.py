@@ -7,6 +7,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 import fe_el
+from fe_el.dolfinx_api import scalar_space, vector_space
 from fe_el.fluid.linear_solver import NodalMatrix
 
 
@@ -16,7 +17,7 @@ def test_rest_under_gravity_with_random_void_fraction_and_drag():
     air = fe_el.VolumeAveragedNavierStokes(mesh, tags, gravity=(0, -9.81), tolerance=1e-13)
     for side in (1, 2, 3, 4):
         air.set_no_slip(side)
-    scalar, vector = fem.FunctionSpace(mesh, ("DG", 0)), fem.VectorFunctionSpace(mesh, ("DG", 0))
+    scalar, vector = scalar_space(mesh, "DG", 0), vector_space(mesh, "DG", 0)
     phi, drag, source = fem.Function(scalar), fem.Function(scalar), fem.Function(vector)
     n = air.num_cells
     rng = np.random.default_rng(mesh.comm.rank)
@@ -38,7 +39,7 @@ def test_pressure_drop_of_a_packed_bed_below_a_freeboard_is_exact():
     air.set_slip(1)
     air.set_slip(2)
     air.set_initial_velocity((0, speed))
-    scalar, vector = fem.FunctionSpace(mesh, ("DG", 0)), fem.VectorFunctionSpace(mesh, ("DG", 0))
+    scalar, vector = scalar_space(mesh, "DG", 0), vector_space(mesh, "DG", 0)
     phi, drag, source = fem.Function(scalar), fem.Function(scalar), fem.Function(vector)
     inside = air.corner[:, :, 1].mean(1) < 0.1
     phi.x.array[:air.num_cells] = np.where(inside, void, 1.0)
@@ -107,7 +108,7 @@ def test_a_step_asks_the_system_for_no_arrays(scene):
     air.set_no_slip(2)
     heat = fe_el.Scalar(air, 1e-3, 0.0, "temperature")
     heat.set_value(3, 1.0)
-    scalar, vector = fem.FunctionSpace(mesh, ("DG", 0)), fem.VectorFunctionSpace(mesh, ("DG", 0))
+    scalar, vector = scalar_space(mesh, "DG", 0), vector_space(mesh, "DG", 0)
     phi, drag, source = fem.Function(scalar), fem.Function(scalar), fem.Function(vector)
     y, asked = air.corner[:, :, 1].mean(1), []
     for k in range(8):
@@ -162,7 +163,7 @@ def test_more_fluid_than_room_for_it_is_refused_at_any_time():
     for name in ("ramp", "mass source", "particles"):
         mesh, tags = fe_el.box((0.01, 0.01), (4, 4))
         air = fe_el.VolumeAveragedNavierStokes(mesh, tags)
-        scalar, vector = fem.FunctionSpace(mesh, ("DG", 0)), fem.VectorFunctionSpace(mesh, ("DG", 0))
+        scalar, vector = scalar_space(mesh, "DG", 0), vector_space(mesh, "DG", 0)
         fields = fem.Function(scalar), fem.Function(scalar), fem.Function(vector)
         fields[0].x.array[:] = 1.0
         if name == "ramp":

@@ -8,6 +8,7 @@ from dolfinx import fem
 
 import fe_el
 from demos import flow_past_cylinder
+from fe_el.dolfinx_api import scalar_space, vector_space
 
 REFERENCE = Path(__file__).parent / "reference"
 
@@ -39,7 +40,7 @@ def cavity_deviation(n, dt, end, order=1, stretch=0.0):
         rows = [r for r in csv.DictReader(file) if r["Re"] == "1000"]
     component = np.array([0 if r["line"][0] == "u" else 1 for r in rows])
     points = [(0.5, float(r["coord"])) if k == 0 else (float(r["coord"]), 0.5) for r, k in zip(rows, component)]
-    nodal = fem.Function(fem.VectorFunctionSpace(mesh, ("CG", 1)))
+    nodal = fem.Function(vector_space(mesh, "P", 1))
     for _ in range(round(end / dt)):
         air.advance(dt)
     nodal.x.array.reshape(-1, 2)[:] = air.nodal_velocity
@@ -88,7 +89,7 @@ def test_pressure_drop_of_layered_beds_is_exact(stiffness):
     flow = 0.7
     air.set_velocity(3, (0.0, flow))
     air.set_pressure(4, 0.0)
-    scalar, vector = fem.FunctionSpace(mesh, ("DG", 0)), fem.VectorFunctionSpace(mesh, ("DG", 0))
+    scalar, vector = scalar_space(mesh, "DG", 0), vector_space(mesh, "DG", 0)
     void, drag, source = fem.Function(scalar), fem.Function(scalar), fem.Function(vector)
     layer = (air.corner.mean(1)[:, 1] * 4).astype(int)
     phi, beta = np.array([1.0, 0.4, 0.36, 0.8]), stiffness * np.array([0.01, 1.0, 50.0, 3.0])

@@ -4,6 +4,7 @@ import pytest
 from dolfinx import fem
 
 import fe_el
+from fe_el.dolfinx_api import scalar_space, vector_space
 
 PI = np.pi
 
@@ -104,7 +105,7 @@ def manufactured_errors(case, n, dt=0.02, steps=150, order=1):
         air.set_no_slip(side)
     phi, u, p = manufactured(case)
     air.body_force, air.mass_source = forcing(case)
-    scalar, vector = fem.FunctionSpace(mesh, ("DG", 0)), fem.VectorFunctionSpace(mesh, ("DG", 0))
+    scalar, vector = scalar_space(mesh, "DG", 0), vector_space(mesh, "DG", 0)
     void = fem.Function(scalar)
     x = air.corner.mean(1) - 1
     void.x.array[:] = phi(x[:, 0], x[:, 1])
@@ -173,7 +174,7 @@ def brinkman_error(ratio, n, dt_beta=0.2):
                                            mean_pressure_gradient=(beta, 0.0))
     air.set_no_slip(3)
     air.set_no_slip(4)
-    scalar, vector = fem.FunctionSpace(mesh, ("DG", 0)), fem.VectorFunctionSpace(mesh, ("DG", 0))
+    scalar, vector = scalar_space(mesh, "DG", 0), vector_space(mesh, "DG", 0)
     void, drag = fem.Function(scalar), fem.Function(scalar)
     void.x.array[:], drag.x.array[:] = 1.0, beta
     for _ in range(int(40 / dt_beta)):
@@ -242,7 +243,7 @@ def test_scalar_constant_stays_and_content_is_kept_while_the_void_fraction_moves
     air.set_initial_velocity((0.3, -0.2))
     one = fe_el.Scalar(air, 1e-3, 7.0, "constant", 1e-13)
     other = fe_el.Scalar(air, 1e-3, lambda x: np.sin(2 * PI * x[:, 0]), "wave", 1e-13)
-    scalar, vector = fem.FunctionSpace(mesh, ("DG", 0)), fem.VectorFunctionSpace(mesh, ("DG", 0))
+    scalar, vector = scalar_space(mesh, "DG", 0), vector_space(mesh, "DG", 0)
     void, zero, none = fem.Function(scalar), fem.Function(scalar), fem.Function(vector)
     x, totals = air.corner.mean(1), []
     for k in range(20):

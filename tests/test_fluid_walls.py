@@ -5,13 +5,14 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 
 import fe_el
+from fe_el.dolfinx_api import scalar_space, vector_space
 
 WIDTH, VOID, DENSITY, VISCOSITY = 0.015, 0.42, 1.13, 1.77e-5
 
 
 def fields_of(mesh, void, drag):
     """Void fraction, drag coefficient and no source."""
-    scalar, vector = fem.FunctionSpace(mesh, ("DG", 0)), fem.VectorFunctionSpace(mesh, ("DG", 0))
+    scalar, vector = scalar_space(mesh, "DG", 0), vector_space(mesh, "DG", 0)
     out = fem.Function(scalar), fem.Function(scalar), fem.Function(vector)
     out[0].x.array[:], out[1].x.array[:] = void, drag
     return out

@@ -4,6 +4,7 @@ import pytest
 from dolfinx import fem
 
 import fe_el
+from fe_el.dolfinx_api import scalar_space, vector_space
 
 
 def mobility(number, steps, cells=6, drag_coefficient=0.0):
@@ -12,7 +13,7 @@ def mobility(number, steps, cells=6, drag_coefficient=0.0):
     air = fe_el.VolumeAveragedNavierStokes(mesh, tags, density=1.0, viscosity=1.0, tolerance=1e-9)
     for side in range(1, 7):
         air.set_no_slip(side)
-    scalar, vector = fem.FunctionSpace(mesh, ("DG", 0)), fem.VectorFunctionSpace(mesh, ("DG", 0))
+    scalar, vector = scalar_space(mesh, "DG", 0), vector_space(mesh, "DG", 0)
     void, drag, source = fem.Function(scalar), fem.Function(scalar), fem.Function(vector)
     void.x.array[:] = 1.0
     one = int(np.argmin(np.abs(air.corner.mean(1) - 0.5).max(1)))

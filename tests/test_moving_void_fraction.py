@@ -5,6 +5,7 @@ import pytest
 from dolfinx import fem
 
 import fe_el
+from fe_el.dolfinx_api import scalar_space, vector_space
 
 PI = np.pi
 VISCOSITY, STEP = 0.1, 1e-4
@@ -12,7 +13,7 @@ VISCOSITY, STEP = 0.1, 1e-4
 
 def fields_of(mesh):
     """Void fraction, drag coefficient and momentum source, all zero."""
-    scalar, vector = fem.FunctionSpace(mesh, ("DG", 0)), fem.VectorFunctionSpace(mesh, ("DG", 0))
+    scalar, vector = scalar_space(mesh, "DG", 0), vector_space(mesh, "DG", 0)
     return fem.Function(scalar), fem.Function(scalar), fem.Function(vector)
 
 

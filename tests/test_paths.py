@@ -5,6 +5,7 @@ from dolfinx import fem
 
 import fe_el
 from demos.sedimenting_suspension import Suspension
+from fe_el.dolfinx_api import scalar_space, vector_space
 
 
 def stokes(s, re):
@@ -13,7 +14,7 @@ def stokes(s, re):
 
 def one_way(particles, velocity, **settings):
     """Coupling to a fluid of viscosity 1 that particles do not change."""
-    pressure = fem.Function(fem.FunctionSpace(particles.mesh, ("CG", 1)))
+    pressure = fem.Function(scalar_space(particles.mesh, "P", 1))
     return fe_el.Coupling(particles, velocity, pressure, 1e-12, 1.0, [fe_el.Drag(stokes)], fluid_velocity="linear",
                           mapping="particle_centred", **settings)
 
@@ -29,7 +30,7 @@ def turned(stokes_number, steps, sub_steps):
     """Distance from the axis after one turn, over the exact one."""
     mesh, _ = fe_el.box((16.0, 16.0), (8, 8))
     mesh.geometry.x[:, :2] -= 8.0
-    u = fem.Function(fem.VectorFunctionSpace(mesh, ("CG", 1)))
+    u = fem.Function(vector_space(mesh, "P", 1))
     u.interpolate(lambda x: np.vstack([-x[1], x[0]]))
     bead, dt = fe_el.Particles(mesh, density=1.0, thickness=1e12), 2 * np.pi / steps
     bead.insert_at([[1.0, 0.0]], np.sqrt(18 * stokes_number), velocity=(0.0, 1.0, 0.0))
@@ -55,7 +56,7 @@ def test_solid_body_rotation(stokes_number, sub_steps):
 def returned(steps, sub_steps):
     """Largest distance of tracers from where they started, after a vortex has turned back."""
     mesh, _ = fe_el.box((1.0, 1.0), (64, 64))
-    u, angle, dt = fem.Function(fem.VectorFunctionSpace(mesh, ("CG", 1))), np.arange(8) * np.pi / 4, 2.0 / steps
+    u, angle, dt = fem.Function(vector_space(mesh, "P", 1)), np.arange(8) * np.pi / 4, 2.0 / steps
     start = np.column_stack([0.5 + 0.15 * np.cos(angle), 0.75 + 0.15 * np.sin(angle)])
     u.interpolate(lambda x: np.vstack([np.sin(np.pi * x[0]) ** 2 * np.sin(2 * np.pi * x[1]),
                                        -np.sin(2 * np.pi * x[0]) * np.sin(np.pi * x[1]) ** 2]))
@@ -86,7 +87,7 @@ def test_fall_in_still_fluid_is_exact(relaxations, sub_steps):
     bead, dt = fe_el.Particles(mesh, density=1.0, gravity=(0.0, 0.0, -0.01)), 0.5
     tau = dt / relaxations
     bead.insert_at([[0.5, 0.5, 5e2]], 0.1, density=18 * tau / 0.01, velocity=(0.0, 0.0, 0.02))
-    u = fem.Function(fem.VectorFunctionSpace(mesh, ("CG", 1)))
+    u = fem.Function(vector_space(mesh, "P", 1))
     coupling, contacts = one_way(bead, u), touchless(bead, dt, sub_steps) if sub_steps else None
     for _ in range(3):
         coupling.to_fluid(dt)
@@ -109,7 +110,7 @@ def test_a_bead_on_the_floor_has_the_drag_of_rest(relaxations):
     density = 18 * dt / relaxations / 0.01
     beads.insert_at([[999.95, 510.0, 0.05]], 0.1, density=density)
     mass = density * np.pi / 6 * 1e-3
-    u = fem.Function(fem.VectorFunctionSpace(mesh, ("CG", 1)))
+    u = fem.Function(vector_space(mesh, "P", 1))
     speed = 0.2 * 9.81 * dt / relaxations
     u.interpolate(lambda x: np.vstack([0 * x[0] + 0.5 * speed, 0 * x[0], 0 * x[0] + speed]))
     contacts = fe_el.Contacts(beads, fe_el.LinearSpringDashpot(mass * 1e5, 0.3, 0.9), walls=(tags, (2, 5)))

@@ -9,6 +9,7 @@ from mpi4py import MPI
 import fe_el
 from demos import error_against_run_time
 from demos.sedimenting_suspension import Suspension
+from fe_el.dolfinx_api import scalar_space, vector_space
 
 D, RHO_P, MU = 150e-6, 1500.0, 1.8e-5
 
@@ -78,7 +79,7 @@ def test_fixed_fields_give_what_the_fluid_does_alone():
     """With a void fraction that stays, four steps in one are four steps; the means are the means of these."""
     mesh, _ = fe_el.periodic_box((1.0, 1.0), (8, 8))
     flows = [fe_el.VolumeAveragedNavierStokes(mesh, None, 1.0, 1e-2, tolerance=1e-12) for _ in range(2)]
-    fields = [fem.Function(fem.FunctionSpace(mesh, ("DG", 0))) for _ in range(2)]
+    fields = [fem.Function(scalar_space(mesh, "DG", 0)) for _ in range(2)]
     fields[0].interpolate(lambda x: 0.7 + 0.2 * np.sin(2 * np.pi * x[0]))
     fields[1].interpolate(lambda x: 3.0 * (x[1] > 0.5))
     source = fem.Function(flows[0].velocity.function_space)
@@ -108,7 +109,7 @@ def test_void_fraction_changes_linearly_over_the_steps(monkeypatch):
         seen.append(fields[0].x.array.copy())
         advance(dt, fields, share)
     monkeypatch.setattr(air, "advance", watched)
-    scalar, vector = fem.FunctionSpace(mesh, ("DG", 0)), fem.VectorFunctionSpace(mesh, ("DG", 0))
+    scalar, vector = scalar_space(mesh, "DG", 0), vector_space(mesh, "DG", 0)
     void, drag, source = fem.Function(scalar), fem.Function(scalar), fem.Function(vector)
     steps, ends = fe_el.SubCycled(air, 5), [np.random.default_rng(k).uniform(0.5, 0.9, air.num_cells) for k in range(4)]
     for end in ends:
@@ -125,7 +126,7 @@ def test_number_of_steps_follows_the_courant_number():
     mesh, _ = fe_el.periodic_box((1.0, 1.0), (8, 8))
     air = fe_el.VolumeAveragedNavierStokes(mesh, None, 1.0, 1e-3)
     air.set_initial_velocity((1.0, 0.0))
-    fields = [fem.Function(fem.FunctionSpace(mesh, ("DG", 0))) for _ in range(2)]
+    fields = [fem.Function(scalar_space(mesh, "DG", 0)) for _ in range(2)]
     fields[0].x.array[:] = 1.0
     dt = 3.5 / air.courant(1.0)
     for most, expected in ((64, 4), (2, 2)):
@@ -147,7 +148,7 @@ def test_particles_are_mapped_where_they_will_be():
     assert np.abs(position - expected).max(initial=0.0) < 1e-14
     lowest = (beads.cells.barycentric[cell] @ np.column_stack([position, np.ones(len(cell))])[:, :, None]).min(initial=0.0)
     assert lowest > -1e-12
-    coupling = fe_el.Coupling(beads, fem.Function(fem.VectorFunctionSpace(mesh, ("DG", 0))), None, 1.0, 1e-3,
+    coupling = fe_el.Coupling(beads, fem.Function(vector_space(mesh, "DG", 0)), None, 1.0, 1e-3,
                               [fe_el.Drag("stokes")], mapping="particle_centred", positions="middle")
     coupling.to_fluid(4.0)
     n = beads.cells.owned

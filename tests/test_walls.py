@@ -1,11 +1,11 @@
 """Walls: facets, seams, edges, corners, planes and cylinders; energy at every angle; moving walls."""
 import numpy as np
 import pytest
-import ufl
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
 import fe_el
+from fe_el.dolfinx_api import create_mesh, geometry_nodes
 
 LAW = fe_el.LinearSpringDashpot(1000.0, 1.0, 0.3)
 D, RHO, STEPS = 2e-3, 2500.0, 100
@@ -15,16 +15,13 @@ NO_GAIN = 1 + (np.pi / STEPS) ** 2 / 8  # what a step that splits the first touc
 def l_shaped(n=4, size=0.04):
     """A cube without one of its quarters along y: a convex edge at (size/2, y, size/2). All boundary facets have tag 1."""
     box = dmesh.create_box(MPI.COMM_SELF, [np.zeros(3), np.full(3, size)], [n] * 3, dmesh.CellType.tetrahedron)
-    cells = box.geometry.dofmap.array.reshape(-1, 4)
+    cells = geometry_nodes(box)
     centre = box.geometry.x[cells].mean(1)
     keep = ~((centre[:, 0] > size / 2) & (centre[:, 2] < size / 2))
     used, renamed = np.unique(cells[keep], return_inverse=True)
     root = MPI.COMM_WORLD.rank == 0
-    domain = ufl.Mesh(ufl.VectorElement("Lagrange", "tetrahedron", 1))
     empty = np.zeros((0, 4), np.int64), np.zeros((0, 3))
-    mesh = dmesh.create_mesh(MPI.COMM_WORLD, *((renamed.reshape(-1, 4).astype(np.int64),
-                                                box.geometry.x[used]) if root else empty),
-                             domain)
+    mesh = create_mesh(MPI.COMM_WORLD, *((renamed.reshape(-1, 4), box.geometry.x[used]) if root else empty))
     mesh.topology.create_connectivity(2, 3)
     facets = np.sort(dmesh.exterior_facet_indices(mesh.topology)).astype(np.int32)
     return mesh, dmesh.meshtags(mesh, 2, facets, np.ones(len(facets), np.int32))
@@ -83,8 +80,7 @@ def test_a_sphere_rolls_straight_over_needles():
     x = np.concatenate([low, high, top])
     cells = np.array([c for k in range(n)
                       for c in ((k, k + 1, n + 1 + k, 2 * n + 2), (k + 1, n + 1 + k, n + 2 + k, 2 * n + 2))])
-    mesh = dmesh.create_mesh(MPI.COMM_SELF, cells.astype(np.int64), x,
-                             ufl.Mesh(ufl.VectorElement("Lagrange", "tetrahedron", 1)))
+    mesh = create_mesh(MPI.COMM_SELF, cells, x)
     mesh.topology.create_connectivity(2, 3)
     floor = np.sort(dmesh.locate_entities_boundary(mesh, 2, lambda y: np.abs(y[2]) < 1e-12)).astype(np.int32)
     tags = dmesh.meshtags(mesh, 2, floor, np.ones(len(floor), np.int32))

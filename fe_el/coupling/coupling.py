@@ -12,6 +12,7 @@ from fe_el.coupling.forces import FORCES
 from fe_el.coupling.over_filled import Spill
 from fe_el.coupling.schemes import Exchange, scheme_of
 from fe_el.coupling.smoothing import FixedValues
+from fe_el.dolfinx_api import scalar_space, vector_space
 from fe_el.exchange import largest_of, raise_everywhere, sums_of
 from fe_el.fluid.work_arrays import WorkArrays
 
@@ -90,7 +91,7 @@ class Coupling:
             next((f for f in forces if isinstance(f, kind)), None) for kind in FORCES)
         self.mapping, self.smoothing, self.scheme = _mapping.mapping_of(mapping), smoothing, scheme_of(scheme)
         self.linear = _mapping.LinearInterpolation() if fluid_velocity == "linear" else None
-        scalar, vector = fem.FunctionSpace(mesh, ("DG", 0)), fem.VectorFunctionSpace(mesh, ("DG", 0))
+        scalar, vector = scalar_space(mesh, "DG", 0), vector_space(mesh, "DG", 0)
         self.fields = (fem.Function(scalar, name="void_fraction"), fem.Function(scalar, name="drag_coefficient"),
                        fem.Function(vector, name="momentum_source"))
         self.fields[0].x.array[:] = 1.0

@@ -5,6 +5,7 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 
 from fe_el.coupling.smoothing import Nodes
+from fe_el.dolfinx_api import dof_table, element_of, scalar_space
 
 
 class CellMean:
@@ -17,11 +18,10 @@ class CellMean:
         self.cells, self.components = mesh.topology.index_map(mesh.topology.dim).size_local, components
         self.direct = None
         if isinstance(expression, fem.Function):
-            element = expression.function_space.ufl_element()
-            if element.family() == "Discontinuous Lagrange" and element.degree() == 0:
+            if element_of(expression.function_space) == ("DG", 0):
                 self.direct = expression
                 return
-        space = fem.FunctionSpace(mesh, ("DG", 0))
+        space = scalar_space(mesh, "DG", 0)
         w = ufl.TestFunction(space)
         parts = [expression[k] for k in range(components)]
         self.forms = [fem.form(part * w * ufl.dx) for part in parts]
@@ -39,12 +39,12 @@ class PressureGradientMean:
 
     def __init__(self, mesh, pressure, barycentric):
         d = mesh.topology.dim
-        element = pressure.function_space.ufl_element() if isinstance(pressure, fem.Function) else None
+        element = element_of(pressure.function_space) if isinstance(pressure, fem.Function) else None
         self.pressure, self.d = pressure, d
         n = mesh.topology.index_map(d).size_local
         self.general = None
-        if element is not None and element.family() == "Lagrange" and element.degree() == 1:
-            self.dofs = pressure.function_space.dofmap.list.array.reshape(-1, d + 1)[:n]
+        if element == ("P", 1):
+            self.dofs = dof_table(pressure.function_space)[:n]
             self.gradient = barycentric[:n, :, :d]
         else:
             self.general = CellMean(mesh, ufl.grad(pressure), d)

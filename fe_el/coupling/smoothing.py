@@ -1,10 +1,10 @@
 """Smoothing of cell fields over a length: self-adjoint and conservative, with a constant matrix that is set up once."""
 import numpy as np
-from dolfinx import fem
 from numba import njit
 from scipy.sparse import csr_matrix
 
 from fe_el.checks import require_positive
+from fe_el.dolfinx_api import dof_table, scalar_space
 from fe_el.exchange import Halo
 from fe_el.fluid.for_each_dimension import FAST, M, by_dimension
 from fe_el.fluid.kernels import scatter
@@ -51,11 +51,11 @@ class Nodes:
 
     def __init__(self, mesh):
         d = mesh.topology.dim
-        self.comm, self.space = mesh.comm, fem.FunctionSpace(mesh, ("CG", 1))
+        self.comm, self.space = mesh.comm, scalar_space(mesh, "P", 1)
         corner, _ = owned_corners(mesh)
         maps, measure = barycentric_maps(corner, d)
         self.gradient = maps[:, :, :d]
-        self.dofs = np.ascontiguousarray(self.space.dofmap.list.array.reshape(-1, d + 1)[:len(corner)].astype(np.int32))
+        self.dofs = np.ascontiguousarray(dof_table(self.space)[:len(corner)].astype(np.int32))
         index_map = self.space.dofmap.index_map
         self.owned, self.number = index_map.size_local, index_map.size_local + index_map.num_ghosts
         self.halo, self.measure = Halo.of_index_map(self.comm, index_map), measure

@@ -2,8 +2,8 @@
 from functools import cached_property
 
 import numpy as np
-from dolfinx import fem
 
+from fe_el.dolfinx_api import dof_table, scalar_space
 from fe_el.exchange import Halo
 from fe_el.failures import end_all_ranks_on_errors
 from fe_el.fluid import kernels
@@ -27,12 +27,12 @@ class CellsAndNodes:
         end_all_ranks_on_errors(mesh.comm)
         self.mesh, self.comm, self.dimension, self.ranks = mesh, mesh.comm, mesh.topology.dim, ranks_of(mesh.comm)
         d = self.dimension
-        self.space, self.work = fem.FunctionSpace(mesh, ("CG", 1)), WorkArrays()
+        self.space, self.work = scalar_space(mesh, "P", 1), WorkArrays()
         self.corner, _ = owned_corners(mesh)
         barycentric, self.volume = barycentric_maps(self.corner, d)
         self.gradient = np.ascontiguousarray(barycentric[:, :, :d])
         n = self.num_cells = len(self.volume)
-        self.dofs = np.ascontiguousarray(self.space.dofmap.list.array.reshape(-1, d + 1)[:n].astype(np.int32))
+        self.dofs = np.ascontiguousarray(dof_table(self.space)[:n].astype(np.int32))
         index_map = self.space.dofmap.index_map
         self.nodes, self.owned_nodes = index_map.size_local + index_map.num_ghosts, index_map.size_local
         self.node_halo, touched = Halo.of_index_map(self.comm, index_map), np.zeros(self.nodes, bool)

@@ -7,7 +7,7 @@ from petsc4py import PETSc
 from fe_el.fluid import kernels, node_kernels
 from fe_el.messages import largest, ranks_of
 
-_petsc = ctypes.CDLL(PETSc.__file__)
+_petsc = ctypes.CDLL(PETSc.__file__)  # petsc4py 3.22 has no matrices from coordinates
 _petsc.MatSetPreallocationCOO.argtypes = [ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_void_p, ctypes.c_void_p]
 _petsc.MatSetValuesCOO.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int]
 

@@ -1,6 +1,7 @@
 """What one wants to know of a run: values at points, time averages and variances of fields."""
 import numpy as np
 
+from fe_el.dolfinx_api import dof_table, element_of
 from fe_el.mesh import barycentric_maps, owned_corners
 
 
@@ -47,13 +48,13 @@ class Probe:
         """One array (points, components) per function, on every rank."""
         out = []
         for f in self.functions:
-            size, element = f.function_space.dofmap.index_map_bs, f.function_space.ufl_element()
+            size, (_, degree) = f.function_space.dofmap.index_map_bs, element_of(f.function_space)
             array, here = f.x.array.reshape(-1, size), np.zeros((self.number, size))
             cells = self.cell[self.mine]
-            if element.degree() == 0:
+            if degree == 0:
                 here[self.mine] = array[cells]
             else:
-                dofs = f.function_space.dofmap.list.array.reshape(-1, self.weight.shape[1])[cells]
+                dofs = dof_table(f.function_space)[cells]
                 here[self.mine] = np.einsum("pv,pvk->pk", self.weight[self.mine], array[dofs])
             out.append(self.comm.allreduce(here))
         return out

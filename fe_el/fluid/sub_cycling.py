@@ -2,6 +2,8 @@
 import numpy as np
 from dolfinx import fem
 
+from fe_el.dolfinx_api import scalar_space
+
 
 class SubCycled:
     """Makes each step of a fluid in several, with drag coefficient and source held and the void fraction changing linearly.
@@ -40,7 +42,7 @@ class SubCycled:
         if courant is not None and not (courant > 0 and most >= 1):
             raise ValueError(f"courant is {courant} and most {most}; they must be greater than zero.")
         self.fluid, self.steps, self.courant, self.most, self.steps_last = fluid, steps, courant, most, 0
-        self._void_fraction = fem.Function(fem.FunctionSpace(fluid.mesh, ("DG", 0)))
+        self._void_fraction = fem.Function(scalar_space(fluid.mesh, "DG", 0))
         self.mean_velocity = fem.Function(fluid.velocity.function_space, name="mean_velocity")
         self.mean_pressure = fem.Function(fluid.space, name="mean_pressure")
 

@@ -4,6 +4,7 @@ import time
 import numpy as np
 from dolfinx import fem
 
+from fe_el.dolfinx_api import vector_space
 from fe_el.exchange import Halo
 from fe_el.fluid import cell_kernels, kernels, node_kernels
 from fe_el.fluid.boundary_conditions import Boundaries
@@ -66,7 +67,7 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         self.facet_tags, self.density, self.viscosity, self.tolerance = facet_tags, density, viscosity, tolerance
         n, d = self.num_cells, self.dimension
         self.gravity = np.zeros(d) if gravity is None else np.asarray(gravity, float)[:d].copy()
-        self.velocity = fem.Function(fem.VectorFunctionSpace(mesh, ("DG", 0)), name="velocity")
+        self.velocity = fem.Function(vector_space(mesh, "DG", 0), name="velocity")
         self.pressure = fem.Function(self.space, name="pressure")
         self.cell_halo = Halo.of_index_map(mesh.comm, self.velocity.function_space.dofmap.index_map)
         self.theta, self.lag = np.empty(n), np.empty(n)

@@ -1,5 +1,6 @@
 """Boundaries that particles may leave through, and boundaries that let particles in at a mass rate."""
 import numpy as np
+from mpi4py import MPI
 from scipy.spatial import cKDTree
 
 from fe_el import mesh as _mesh
@@ -117,7 +118,7 @@ class Inlet:
     def _particles_near(self):
         """Positions and radii of all particles near the inlet, on every rank."""
         p = self.particles
-        largest = p.comm.allreduce(p.diameter.max() if len(p) else 0.0, op=_mesh.MPI.MAX)
+        largest = p.comm.allreduce(p.diameter.max() if len(p) else 0.0, op=MPI.MAX)
         reach = 2 * max(largest, self.next or 0.0, np.max(self.diameter) if not callable(self.diameter) else largest) \
             + np.ptp(self.corner, (0, 1)).max() * 1e-9
         lower, upper = self.corner.min((0, 1)) - 2 * reach, self.corner.max((0, 1)) + 2 * reach
