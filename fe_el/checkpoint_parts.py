@@ -76,7 +76,7 @@ def set_contacts(c, state):
     c.layout, c.stale = p.layout, True
 
 
-FLUID_CELLS = ("gain", "fades", "rate", "void_fraction", "_last_flux")
+FLUID_CELLS = ("gain", "fades", "drag_gain", "last_drag", "rate", "void_fraction", "_last_flux")
 FLUID_NODES = ("nodal_velocity", "force", "nodal_gain", "slip_force", "past_pressures", "last_force", "last_change")
 
 
@@ -88,7 +88,7 @@ def fluid_state(air):
     cells["velocity"], nodes["pressure"] = air.velocity.x.array.reshape(-1, d)[:n], air.pressure.x.array[:own]
     return {"cells": (air.corner.mean(1), cells), "nodes": (air.node_position[:own], nodes),
             "same": (None, {"time": air.time, "step": air.step, "dt": getattr(air, "dt", 0.0), "to_close": air._to_close,
-                            "guess_order": air.guess_order})}
+                            "drag_known": air.drag_known, "guess_order": air.guess_order})}
 
 
 def set_fluid(air, state):
@@ -109,6 +109,7 @@ def set_fluid(air, state):
             full[:own] = value
             value = air.node_halo.forward(full)
         setattr(air, name, value)
+    air.drag_known = bool(same.get("drag_known", False))
     air.guess_order = int(same["guess_order"]) if "guess_order" in same else 0
     air.time, air.dt, air.step, air._to_close = (float(same["time"]), float(same["dt"]), int(same["step"]),
                                                  int(same["to_close"]))

@@ -27,15 +27,25 @@ def mobility(number, steps, cells=6, drag_coefficient=0.0):
 
 
 def test_velocity_does_not_depend_on_the_step():
-    """Between Taylor-Hood elements on the same mesh (2.3) and a cube of the cell's volume in free space (4.3)."""
-    found = np.array([mobility(0.05, 250), mobility(0.5, 40), mobility(5.0, 50), mobility(50.0, 60)])
-    assert found.min() > 2.3 and found.max() < 4.3 and found.max() < 1.05 * found.min()
+    """Near that of Taylor-Hood elements on meshes of such cubes (2.15 to 2.32), from short steps to those that are far
+    longer than viscosity needs across the box; there pressure comes about over many steps, and is 15 % less at first."""
+    found = np.array([mobility(0.05, 250), mobility(0.5, 40), mobility(5.0, 50), mobility(500.0, 50), mobility(1e4, 50)])
+    assert found.min() > 2.1 and found.max() < 1.2 * found.min() and found[:3].max() < 1.03 * found[:3].min()
 
 
+@pytest.mark.parametrize("drag_coefficient", [0.0, np.pi, 100 * np.pi])
+@pytest.mark.parametrize("number", [0.5, 5.0, 500.0])
+def test_a_force_or_a_drag_that_sets_in_is_answered_by_viscosity_in_the_first_step(number, drag_coefficient):
+    """Not by the fluid's inertia alone, which would give 50 to 50,000."""
+    assert 1.7 < mobility(number, 1, 6, drag_coefficient) < 3.3
+
+
+@pytest.mark.parametrize("number, steps", [(0.05, 250), (5.0, 60)])
 @pytest.mark.parametrize("strength", [1.0, 100.0])
-def test_body_held_by_drag_feels_the_same_velocity(strength):
+def test_body_held_by_drag_feels_the_same_velocity(strength, number, steps):
     """Drag that is weak and strong against what the fluid resists."""
-    assert mobility(0.05, 250, 6, strength * np.pi) == pytest.approx(mobility(0.05, 250), rel=0.01)
+    bound = 0.01 if number < 1 else 0.06
+    assert mobility(number, steps, 6, strength * np.pi) == pytest.approx(mobility(0.05, 250), rel=bound)
 
 
 def sphere_error(ratio, places=3, cells=8, reynolds=0.08):
@@ -66,5 +76,5 @@ def sphere_error(ratio, places=3, cells=8, reynolds=0.08):
 
 
 def test_a_sphere_smaller_than_a_cell_is_carried_by_its_own_wake_as_the_cell_answers():
-    """The cell's answer of 3.2 F/(6 pi mu h) to the sphere's weight is 1.6 d/h of its terminal velocity."""
-    assert sphere_error(0.1) == pytest.approx(0.16, abs=0.03)
+    """The cell's answer of 2.2 F/(6 pi mu h) to the sphere's weight is 1.1 d/h of its terminal velocity."""
+    assert sphere_error(0.1) == pytest.approx(0.11, abs=0.02)

@@ -223,4 +223,4 @@ class Boundaries:
         share = (facets.number[mine] / self._wall_share[nodes])[:, None]
         friction = 0.0 if self.wall_friction is None else self.wall_friction.force_on(facets)
         held = np.where(self.fixed[nodes, None], self.reaction[nodes], self.slip_force[nodes])
-        return friction - (share * (held - self._taken[nodes] + self.last_force[nodes])).sum(0)
+        return friction - (share * (held - self._taken[nodes] + self._given[nodes])).sum(0)

@@ -68,6 +68,7 @@ class Transport:
         kernels.memory(self.dofs, self.cell_mass0, self.cell_mass, q, u, dt, self.theta, self.lag, self.gain,
                        self.nodal_gain,
                        self.fades, kept, self.mass, defect)
+        self.complete(self.mass)
         return kept, defect
 
     def _stress(self, phi0, phi, u):
@@ -78,8 +79,12 @@ class Transport:
             stress += self.density * share * self.turbulence(self, u)
         return share, stress
 
-    def _transport_step(self, dt, phi0, phi, flux, u, defect):
-        """Stage 2: convection and viscosity of the nodal velocity, implicit, skew-symmetric, conserving momentum."""
+    def _transport_step(self, dt, phi0, phi, flux, q, u):
+        """Stage 2: convection and viscosity of the nodal velocity, implicit, skew-symmetric, conserving momentum.
+
+        Returns:
+            transported nodal velocity, and what cells keep beside it.
+        """
         d, work, own = self.dimension, self.work, self.owned_nodes
         place, values = self._transport.place, self._transport.values
         share, stress = self._stress(phi0, phi, u)
@@ -90,6 +95,8 @@ class Transport:
                                  flux,
                                  self.fixed_pressure, self.theta_of(self.viscosity / self.density, dt), self.upwind, u,
                                  values, explicit)
+        if self.drag_inside.active:
+            self.drag_inside.add(dt, q, u, explicit)
         if self.stabilisation is not None and not self.upwind:
             self.stabilisation(self, share, flux, u, self._transport, explicit)
         if self.wall_friction is not None:
@@ -103,7 +110,8 @@ class Transport:
         self._transport.release()
         self.transport_solver.new_values()
         rhs, system, guess = work.empty("rhs", self.nodes, d), work.empty("system", d, own), work.empty("guess", d, own)
-        node_kernels.transport_load(self.mass0, u, self.last_change, self.force, explicit, lift, dt, self.held,
+        given = work.zeros("no_force", self.nodes, d) if self.drag_inside.active else self.force
+        node_kernels.transport_load(self.mass0, u, self.last_change, given, explicit, lift, dt, self.held,
                                     self.boundary_velocity,
                                     self._transport.diagonal(), rhs, system, guess)
         new = work.empty("transported", self.nodes, d)
@@ -111,9 +119,10 @@ class Transport:
             new[:own, k] = self.transport_solver.solve(system[k], guess[k])
         self.node_halo.forward(new)
         np.subtract(new, u, out=self.last_change)
+        kept, defect = self.drag_inside.close(dt, q, u, new) if self.drag_inside.active else self._fade(dt, q, u)
         if self.wall_friction is not None:
             self.wall_friction.close(new)
-        return self._balance(dt, new, rhs, defect)
+        return self._balance(dt, new, rhs, defect), kept
 
     def _balance(self, dt, new, rhs, defect):
         """The transported nodal velocity, less the force that it was given beforehand; in ``rhs``.
@@ -123,7 +132,7 @@ class Transport:
         d, work = self.dimension, self.work
         balance = work.zeros("balance", self.nodes, d)
         self._transport.subtract_product(new, balance)
-        self.complete(self.mass, balance, defect)
+        self.complete(balance, defect)
         self._correction = work.empty("correction", self.nodes, d)
         node_kernels.close_transport(self.mass, rhs, balance, defect, dt, self.held, new, self._correction)
         self.reaction = balance  # at fixed nodes: what the wall adds per time to hold the velocity
@@ -141,10 +150,16 @@ class Transport:
         time.
         What is added is at most the force itself: no noise grows by it.
         """
-        force, last, self.last_force = self.force, self.last_force, self.force
+        inside = self.drag_inside.active
+        self._given = self.drag_inside.given if inside else self.force
+        force, last = self.drag_inside.by_pressure if inside else self.force, self.last_force
+        self.last_force = force
         if last is None or not self.second_order:
-            return force
+            return self._given
         ratio = min((dt + self.dt) / (2 * self.dt), 1.5)
         out = self.work.empty("force_ahead", *force.shape)
         node_kernels.carry_on(force, last, ratio, self.held, self.slip_nodes, self.slip_normals, out)
+        if inside:  # of drag this step's is known
+            out += self._given
+            out -= force
         return out

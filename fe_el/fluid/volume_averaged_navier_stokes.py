@@ -11,6 +11,7 @@ from fe_el.fluid.boundary_conditions import Boundaries
 from fe_el.fluid.boundary_values import velocity_at
 from fe_el.fluid.cells_and_nodes import CellsAndNodes
 from fe_el.fluid.continuity import Ledger
+from fe_el.fluid.drag_in_transport import DragInTransport
 from fe_el.fluid.linear_solver import LinearSolver, NodalMatrix
 from fe_el.fluid.pressure_equation import PressureEquation
 from fe_el.fluid.transport import Transport
@@ -84,13 +85,14 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         self.guess_order = 0  # of the extrapolation that pressure solves start from
         self.ready, self.step_flux, self._to_close, self._single_phase = False, None, 0, None
         self.body_force = self.mass_source = None
+        self.drag_known = False  # whether drag_gain holds what drag gave in the last step
 
     def memory_at_rest(self):
         """What a step takes over from the last beside velocity and pressure, by name, before the first step."""
         n, d, nodes = self.num_cells, self.dimension, self.nodes
         none = dict.fromkeys(("void_fraction", "_last_flux", "nodal_velocity", "last_force"))
-        return {**none, "rate": np.zeros(n), "past_pressures": np.zeros((nodes, 3)),
-                **{name: np.zeros((n, d)) for name in ("gain", "fades")},
+        return {**none, "rate": np.zeros(n), "last_drag": np.zeros(n), "past_pressures": np.zeros((nodes, 3)),
+                **{name: np.zeros((n, d)) for name in ("gain", "fades", "drag_gain")},
                 **{name: np.zeros((nodes, d)) for name in ("force", "nodal_gain", "slip_force", "last_change")}}
 
     def set_initial_velocity(self, value):
@@ -107,7 +109,7 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         self.transport_solver = LinearSolver(self._transport.matrix, "transport", "bcgs", "jacobi", self.tolerance)
         self._hold_nodes()
         self._thetas, self._steady_inflow, self._closed_flux = {}, None, None
-        self.pressure_equation = PressureEquation(self)
+        self.pressure_equation, self.drag_inside = PressureEquation(self), DragInTransport(self)
         self.boundary_velocity, self._values_set = np.zeros((self.nodes, self.dimension)), False
 
     # -- one step ------------------------------------------------------------------------------------------------------
@@ -155,15 +157,16 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         flux = self.step_flux = self._mass_flux(dt, phi0, q, moves)
         self.time, self.step = self.time + dt, self.step + 1
         self.second_order = self.time_order == 2 and self.step > START_STEPS and not self.upwind
+        self.drag_inside.start(dt, drag, source)
         u = self._relax(dt, q)
         self.set_boundary_values(None if fields is None else phi)
-        transported, defect = self._fade(dt, q, u)
-        nodal = self._transport_step(dt, phi0, phi, flux, u, defect)
+        nodal, transported = self._transport_step(dt, phi0, phi, flux, q, u)
         self._supply(dt, rate0)
         share = phi if pressure_share is None else pressure_share
         if self.wall_friction is not None:
             drag, source = self.wall_friction.in_cells(self._stress_now, drag, source, q)
         self._exchange(dt, phi, share, drag, source, nodal, transported)
+        self.drag_inside.keep(dt, phi, self.velocity.x.array.reshape(-1, d)[:n])
         self.void_fraction, self.void_fractions, self.dt = phi, (phi0, phi), dt
         self.seconds["fluid"] += time.perf_counter() - tick
 

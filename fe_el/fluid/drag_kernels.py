@@ -1,0 +1,110 @@
+"""Numba loops of transport with drag: see :mod:`fe_el.fluid.drag_in_transport`."""
+from numba import njit
+
+from fe_el.fluid.for_each_dimension import FAST, D, M, by_dimension
+from fe_el.fluid.kernels import fading_rate
+
+
+@by_dimension
+def drag_in_transport(dofs, place, mass0, mass1, volume, dt, drag, last_drag, source, q, u, nodal_gain, drag_gain, theta,
+                      lag, split, gain, part, values, load, by_pressure):
+    """Add to the matrix of transport and to its load what drag A, source B and the fading by viscosity give to the nodes.
+
+    ``gain`` becomes p + b for a nodal velocity of zero; ``part`` of the mean of that velocity comes off it. ``split`` is the
+    share of viscosity in the fading; ``by_pressure`` gets the nodal sums of the part p.
+    """
+    n = len(dofs)
+    share = 1.0 / M
+    for c in range(n):
+        inertia, stay = mass1[c] / volume[c], dt - lag[c]
+        rest = 1.0 / (inertia + drag[c] * stay)
+        part[c] = drag[c] * rest
+        less = min(1.0, (inertia + drag[c] * stay) / (inertia + last_drag[c] * stay))
+        for k in range(D):
+            mean, rise = 0.0, 0.0
+            for i in range(M):
+                mean += u[dofs[c, i], k]
+                rise += nodal_gain[dofs[c, i], k]
+            r = q[c, k] - share * mean
+            p = less * (gain[c, k] - drag_gain[c, k])
+            g = p + rest * (source[c, k] - drag[c] * (theta[c] * r + stay * (p - share * rise)))
+            kept = theta[c] * r + stay * (g - share * rise)
+            gain[c, k] = g
+            given = share * (mass1[c] * g - split[c] / dt * (mass1[c] * kept - mass0[c] * r))
+            for i in range(M):
+                load[dofs[c, i], k] += given
+                by_pressure[dofs[c, i], k] += share * mass1[c] * p
+        weight = share * share * mass1[c] * part[c] * (1.0 - split[c] / dt * stay)
+        for i in range(M):
+            for j in range(M):
+                values[place[c, i, j]] += weight
+
+
+@by_dimension
+def memory_of_drag(dofs, mass0, mass1, dt, q, u, new, nodal_gain, theta, lag, split, part, gain, kept, mass, defect, force):
+    """What cells keep after transport, the gain that goes with the ``new`` nodal velocity, and nodal sums: of mass, of the
+    momentum that faded by convection, and of the ``force`` that transport was given."""
+    n = len(dofs)
+    share = 1.0 / M
+    for c in range(n):
+        for i in range(M):
+            mass[dofs[c, i]] += share * mass1[c]
+        for k in range(D):
+            mean, rise, now = 0.0, 0.0, 0.0
+            for i in range(M):
+                mean += u[dofs[c, i], k]
+                rise += nodal_gain[dofs[c, i], k]
+                now += new[dofs[c, i], k]
+            r = q[c, k] - share * mean
+            gain[c, k] -= part[c] * share * now
+            kept[c, k] = theta[c] * r + (dt - lag[c]) * (gain[c, k] - share * rise)
+            lost = share * (1.0 - split[c]) * (mass1[c] * kept[c, k] - mass0[c] * r)
+            for i in range(M):
+                defect[dofs[c, i], k] += lost
+                force[dofs[c, i], k] += share * mass1[c] * gain[c, k]
+
+
+@by_dimension
+def before_exchange(dofs, dt, q, u, force, mass, gain, kept, fades):
+    """Take off what cells keep the gain that exchange will give them, less what their nodes have of it."""
+    n = len(dofs)
+    share = 1.0 / M
+    for c in range(n):
+        for k in range(D):
+            mean, rise = 0.0, 0.0
+            for i in range(M):
+                mean += u[dofs[c, i], k]
+                rise += force[dofs[c, i], k] / mass[dofs[c, i]]
+            kept[c, k] -= dt * (gain[c, k] - share * rise)
+            fades[c, k] = (q[c, k] - share * mean - kept[c, k]) / dt
+
+
+@njit(cache=True, fastmath=FAST)
+def share_of_viscosity(q, h, viscous, split):
+    """Share of viscosity, ``viscous`` / h^2, in the rate at which what the nodes do not carry fades."""
+    for c in range(len(h)):
+        speed = 0.0
+        for k in range(q.shape[1]):
+            speed += q[c, k] * q[c, k]
+        split[c] = viscous / (h[c] * h[c] * fading_rate(speed, h[c], viscous, 1.0))
+
+
+@njit(cache=True, fastmath=FAST)
+def gain_by_drag(density, phi, drag, source, q, drag_gain, last_drag):
+    """What drag and source gave to the cells in the exchange, per mass."""
+    for c in range(len(phi)):
+        last_drag[c] = drag[c]
+        for k in range(q.shape[1]):
+            drag_gain[c, k] = (source[c, k] - drag[c] * q[c, k]) / (density * phi[c])
+
+
+@njit(cache=True)
+def any_of(drag, source):
+    """Whether there is drag or a source anywhere."""
+    for c in range(len(drag)):
+        if drag[c] != 0.0:
+            return True
+        for k in range(source.shape[1]):
+            if source[c, k] != 0.0:
+                return True
+    return False
