@@ -19,7 +19,7 @@ def drag_in_transport(dofs, place, mass0, mass1, volume, dt, drag, last_drag, so
         inertia, stay = mass1[c] / volume[c], dt - lag[c]
         rest = 1.0 / (inertia + drag[c] * stay)
         part[c] = drag[c] * rest
-        less = min(1.0, (inertia + drag[c] * stay) / (inertia + last_drag[c] * stay))
+        less = min(1.0, (inertia + drag[c] * dt) / (inertia + last_drag[c] * dt))  # of what balanced the last drag
         for k in range(D):
             mean, rise = 0.0, 0.0
             for i in range(M):
