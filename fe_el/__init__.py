@@ -4,8 +4,9 @@ Fluid: VolumeAveragedNavierStokes, SubCycled, Scalar, Probe, TimeAverage, ramp, 
     eddy viscosities Smagorinsky, Vreman, Wale; wall law Spalding; stabilisations Streamline, Upwind
 Particles: Particles, Inlet, LostParticle, Contacts; laws LinearSpringDashpot, HertzMindlin, RollingFriction, ArrayLaw;
     walls FacetWalls, PlaneWall, CylinderWall
-Coupling: Coupling; forces Drag, PressureGradient, ViscousStress, Buoyancy; drag_laws; HelmholtzSmoothing, PatchAverage;
-    OverlapVolume, SatellitePoints, ParticleCentred, HatKernel, WellMixed; time_scales
+Coupling: Coupling; forces Drag, PressureGradient, ViscousStress, Buoyancy, AddedMass, SaffmanLift, MagnusLift, Torque
+    and own ones; drag_laws; HelmholtzSmoothing, PatchAverage; OverlapVolume, SatellitePoints, ParticleCentred, HatKernel,
+    WellMixed; time_scales
 Meshes: read_mesh, mesh_geo, box, periodic_box
 Running: time_steps, adaptive_steps, ParaViewOutput, stage_seconds, write_summary, save_checkpoint, load_checkpoint
 
@@ -30,6 +31,8 @@ _HOME = {
     "PlaneWall": "particles.wall_shapes", "CylinderWall": "particles.wall_shapes",
     "Coupling": "coupling.coupling", "Drag": "coupling.forces",
     "PressureGradient": "coupling.forces", "ViscousStress": "coupling.forces", "Buoyancy": "coupling.forces",
+    "SaffmanLift": "coupling.lift_and_torque", "MagnusLift": "coupling.lift_and_torque",
+    "Torque": "coupling.lift_and_torque", "AddedMass": "coupling.added_mass",
     "HelmholtzSmoothing": "coupling.smoothing", "PatchAverage": "coupling.smoothing", "SatellitePoints": "coupling.mapping",
     "ParticleCentred": "coupling.mapping", "HatKernel": "coupling.mapping", "WellMixed": "coupling.mapping",
     "OverlapVolume": "coupling.overlap",

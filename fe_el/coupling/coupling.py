@@ -7,8 +7,12 @@ from dolfinx import fem
 
 from fe_el.coupling import mapping as _mapping
 from fe_el.coupling import particle_loops as loops
-from fe_el.coupling.fields import CellMean, PressureGradientMean, ViscousStressMean
-from fe_el.coupling.forces import FORCES
+from fe_el.coupling.added_mass import AddedMass, AddedMassExchange
+from fe_el.coupling.fields import CellMean, PressureGradientMean
+from fe_el.coupling.fluid_at_particles import METHODS, AskedOfFluid, FluidAtParticles, check_force, given
+from fe_el.coupling.forces import Buoyancy, Drag, PressureGradient
+from fe_el.coupling.lift_and_torque import Spin
+from fe_el.coupling.maps import Maps
 from fe_el.coupling.over_filled import Spill
 from fe_el.coupling.schemes import Exchange, scheme_of
 from fe_el.coupling.smoothing import FixedValues
@@ -19,7 +23,7 @@ from fe_el.fluid.work_arrays import WorkArrays
 LIQUID = 0.1  # density of a fluid over that of the particles, from which its answer to displaced volume drives them
 
 
-class Coupling:
+class Coupling(Maps):
     """Momentum exchange of particles with any fluid that takes a void fraction, a drag coefficient and a source.
 
     Particles give their volume, drag and momentum to cells through the shares of a mapping, the excess of over-filled cells
@@ -33,7 +37,9 @@ class Coupling:
             change, set by the script: that of the middle of the step.
         pressure: its pressure, of the middle of the step, a Function or UFL expression [Pa].
         fluid_density, fluid_viscosity (float): [kg/m^3], [Pa s].
-        forces: list of :class:`Drag`, :class:`PressureGradient`, :class:`ViscousStress`, :class:`Buoyancy`.
+        forces: list of :class:`Drag`, :class:`PressureGradient`, :class:`ViscousStress`, :class:`Buoyancy`,
+            :class:`AddedMass` (there by itself if particles are less than 1.4 times as dense as the fluid), and of own ones:
+            objects that say what they need of the fluid and give a force (see :mod:`fe_el.coupling.fluid_at_particles`).
         scheme (str): ``conservative``, ``explicit``, ``implicit``, ``implicit_from_force``, ``split`` or
             ``void_cells_explicit``.
         mapping: ``overlap_volume``, ``satellite_points`` (the paper's), ``cfdem_points``, ``particle_centred``, ``hat``,
@@ -53,10 +59,11 @@ class Coupling:
             :class:`SubCycled`, with its mean pressure for ``pressure``); absent: ``velocity``.
 
     Attributes:
-        fields: (void fraction DG0, drag coefficient A DG0 [kg/(m^3 s)], momentum source B DG0 vector [N/m^3]).
+        fields: (void fraction DG0, drag coefficient A DG0 [kg/(m^3 s)], momentum source B DG0 vector [N/m^3]); with added
+            mass also the share DG0 of the pressure gradient that particles hand on to the fluid.
         over_filled (int): cells that were over-filled in the last step, over all ranks.
         solid_volume_error, momentum_imbalance (float): ledger of the last step, relative to the solid volume and to the
-            particles' weight (without gravity: to the force).
+            particles' weight, that of added mass included (without gravity: to the force).
         max_solid_fraction (float): in the last step.
 
     Raises:
@@ -78,37 +85,70 @@ class Coupling:
             raise ValueError(f"fluid_velocity is {fluid_velocity!r}; use 'cell' or 'linear'.")
         if positions not in (None, "start", "middle"):
             raise ValueError(f"positions is {positions!r}; use 'start' or 'middle', or leave it out.")
-        unknown = [f for f in forces if not isinstance(f, FORCES)]
-        if unknown:
-            raise ValueError(f"{unknown[0]!r} is no force; forces are Drag(law), PressureGradient(), ViscousStress() and "
-                             "Buoyancy().")
+        built_in = Drag, PressureGradient, Buoyancy, AddedMass
+        others = [f for f in forces if not isinstance(f, built_in)]
+        for force in others:
+            check_force(force)
         self.particles, self.comm, mesh = particles, particles.comm, particles.mesh
         self.density, self.viscosity, self.largest = fluid_density, fluid_viscosity, largest_solid_fraction
         self.dimension, self.answers = mesh.topology.dim, None  # whether the fluid changed in the last step
         self.ahead = {"start": 0.0, "middle": 0.5, None: None if mean_velocity is None else 0.5}[positions]
         d = self.dimension
-        self.drag, self.pressure_force, viscous, self.buoyancy = (
-            next((f for f in forces if isinstance(f, kind)), None) for kind in FORCES)
+        self.drag, self.pressure_force, self.buoyancy, law = (
+            next((f for f in forces if isinstance(f, kind)), None) for kind in built_in)
+        self.others = {method: [f for f in others if hasattr(f, method)] for method in METHODS}
+        self.others = {method: found for method, found in self.others.items() if found}
+        self.added = self._added_mass(law, scheme, mean_velocity)
+        self.drags, self.reacts = self.drag is not None or self.added is not None or "drag_coefficient" in self.others, bool(
+            {"force", "spin"} & set(self.others))
         self.mapping, self.smoothing, self.scheme = _mapping.mapping_of(mapping), smoothing, scheme_of(scheme)
         self.linear = _mapping.LinearInterpolation() if fluid_velocity == "linear" else None
         scalar, vector = scalar_space(mesh, "DG", 0), vector_space(mesh, "DG", 0)
         self.fields = (fem.Function(scalar, name="void_fraction"), fem.Function(scalar, name="drag_coefficient"),
                        fem.Function(vector, name="momentum_source"))
+        if self.added is not None:
+            self.fields += (fem.Function(scalar, name="pressure_share"),)
         self.fields[0].x.array[:] = 1.0
         self.velocity_mean = self.step_mean = CellMean(mesh, velocity, d)
         if mean_velocity is not None:
             self.step_mean = CellMean(mesh, mean_velocity, d)
-        self.gradient_mean = PressureGradientMean(mesh, pressure,
-                                                  particles.cells.barycentric) if self.pressure_force else None
-        self.stress_mean = ViscousStressMean(mesh, fluid_viscosity) if viscous else None
+        needs = {name for force in others for name in getattr(force, "needs", ())}
+        self.gradient_mean = self.asked = None
+        if self.pressure_force or "pressure_gradient" in needs:
+            self.gradient_mean = PressureGradientMean(mesh, pressure, particles.cells.barycentric)
+        if others:
+            self.asked = AskedOfFluid(mesh, needs, fluid_viscosity, self.gradient_mean)
+        self.spin = Spin(mesh, self.others["spin"]) if "spin" in self.others else None
         length = getattr(smoothing, "length", None)
         self.fixed = FixedValues(mesh, length) if length and scheme in ("implicit", "implicit_from_force") else None
         self.seconds = {"mapping": 0.0, "drag": 0.0}
         if smoothing is not None:
             self.seconds["smoothing"] = 0.0
-        self._kept, self._mapped, self._work, self._none = None, None, WorkArrays(), np.zeros((0, d))
+        self._kept, self._mapped, self._work, self._none, self.layout = None, None, WorkArrays(), np.zeros((0, d)), None
         self.over_filled, self.over_filled_total, self.solid_volume_error = 0, 0, 0.0
         self.momentum_imbalance, self.max_solid_fraction = 0.0, 0.0
+
+    def _added_mass(self, law, scheme, mean_velocity):
+        """The exchange with added mass: if a law is given, or where particles are so light that without one they explode."""
+        message = None
+        if law is None and self._too_light():
+            law = AddedMass()
+        if law is None:
+            return None
+        if scheme != "conservative":
+            message = f"Added mass, which particles as light as the fluid need, needs scheme='conservative', not {scheme!r}."
+        elif mean_velocity is not None:
+            message = "Added mass and several steps of the fluid in one (mean_velocity) do not go together."
+        raise_everywhere(self.comm, ValueError, message)
+        return AddedMassExchange(law, self.pressure_force is not None)
+
+    def _too_light(self):
+        """Whether the pressure force on a particle that is here, or of the density of those to come, is unstable without
+        added mass, in the fullest cells."""
+        p = self.particles
+        lightest = min(p.default_density, -largest_of(self.comm, -p.density.min(initial=np.inf))[0])
+        self.checked = p.next_id
+        return self.pressure_force is not None and lightest < self.density * self.largest / (2 * (1 - self.largest))
 
     # -- particles to fluid --------------------------------------------------------------------------------------------
 
@@ -120,6 +160,9 @@ class Coupling:
         """
         tick = self._begin()
         p = self.particles
+        if self.added is None and p.next_id != self.checked and self._too_light():
+            raise ValueError(f"Particles came that are too light for a pressure force without added mass in a fluid of "
+                             f"{self.density:g} kg/m^3; give forces=[..., AddedMass()].")
         self._steady = np.zeros(self.dimension)  # force per volume that needs no field
         if self.pressure_force is not None:
             self._steady += self.pressure_force.mean[:self.dimension]
@@ -128,17 +171,44 @@ class Coupling:
         self.cell_velocity = self.velocity_mean().copy()
         if not self._as_before():
             self._map(dt)
+        self.layout = p.layout
         self._end("mapping", tick)
         tick = self._begin()
-        self.explicit_reaction = self._none
-        if self.stress_mean is not None:
-            stress = self._gather(self._back(self.stress_mean(self.cell_velocity)))
-            self.explicit_reaction = self.volume * stress
-        if self.drag is not None:
+        self._ask(dt)
+        if self.drags:
             self._drag_fields(dt)
-        elif self.stress_mean is not None:
-            self._set(2, -self._to_cells(self.explicit_reaction))
+        elif self.reacts:
+            self._set(2, self._reaction())
         self._end("drag", tick)
+
+    def _ask(self, dt):
+        """Let the forces of the open list see the fluid, and add up those that they give."""
+        self.at_fluid, self.explicit_reaction = None, self._none
+        if self.asked is None:
+            return
+        p, d = self.particles, self.dimension
+        back = self._back(self.asked.columns(self.cell_velocity))
+        means = self._gather(back, "asked")
+        if self.linear is not None and self.asked.velocity:
+            self.linear.gather(np.ascontiguousarray(back[:, :d]), means[:, :d])
+        solid = self._gather(self.solid, "solid_of_forces") if self.asked.solid else None
+        self.at_fluid = FluidAtParticles(p, dt, self.density, self.viscosity, self.volume[:, 0],
+                                         self.asked.quantities(means, solid, p.velocity[:, :d]))
+        if "force" in self.others:
+            self.explicit_reaction = np.zeros((len(p), d))
+            for force in self.others["force"]:
+                self.explicit_reaction += given(force, "force", self.at_fluid, (len(p), d))
+        if self.spin is not None:
+            self.turn, self.torque = self.spin.over_step(self.at_fluid)
+
+    def _reaction(self):
+        """Momentum source (owned cells, d) by the forces of the open list: the opposite of what particles get."""
+        source = 0.0
+        if "force" in self.others:
+            source -= self._to_cells(self.explicit_reaction)
+        if self.spin is not None:
+            source -= self.spin.force_of(self._to_cells(self.torque))
+        return source
 
     def _as_before(self):
         """Whether all particles are held and where they were when they were mapped."""
@@ -200,23 +270,27 @@ class Coupling:
         loops.fluid_at_particles(mean, velocity, solid, slip)
         beta = self._coefficient(solid, slip)
         inertia, acceleration = self._accelerations()
-        exchange = Exchange(dt, self.volume, inertia, velocity, acceleration, beta[:, None], mean[:, 1:], offset,
-                            self._to_cells,
-                            lambda q: self._deposit(q)[:n], cell_velocity, self.fixed or (lambda field, filled: field))
-        a, b = self.scheme.fields(exchange)
-        if self.stress_mean is not None:
-            b = b - self._to_cells(self.explicit_reaction)
+        self.exchange = Exchange(dt, self.volume, inertia, velocity, acceleration, beta[:, None], mean[:, 1:], offset,
+                                 self._to_cells, lambda q: self._deposit(q)[:n], cell_velocity,
+                                 self.fixed or (lambda field, filled: field))
+        a, b = self.scheme.fields(self.exchange) if self.added is None else self._fields_with_added_mass(solid)
+        if self.reacts:
+            b = b + self._reaction()
         self._set(1, a)
         self._set(2, b)
 
+    def _fields_with_added_mass(self, solid):
+        """The same, and the share of the pressure gradient that particles hand on to the fluid."""
+        rows, self.late = self.added.fields(self.exchange, self.particles, solid, self.density)
+        out = self._to_cells(np.hstack([rows[:, :2], self.late - rows[:, 2:]]))
+        self._set(3, out[:, 1:2])
+        return out[:, :1], out[:, 2:]
+
     def _coefficient(self, solid, slip):
         """Drag coefficient of each particle, checked."""
-        p, sauter = self.particles, None
-        if self.drag.polydisperse:
-            sizes = np.hstack([self.volume, self.volume / p.primary_diameter[:, None]])
-            sums = self._gather(self._on_cells(self._to_cells(sizes)))
-            sauter = sums[:, 0] / sums[:, 1]
-        beta = self.drag.coefficient(solid, slip, p.primary_diameter, self.density, self.viscosity, sauter)
+        p, beta = self.particles, np.zeros(len(self.particles)) if self.drag is None else self._by_law(solid, slip)
+        for force in self.others.get("drag_coefficient", ()):
+            beta = beta + given(force, "drag_coefficient", self.at_fluid, (len(p),))
         i, message = loops.first_bad(beta), None
         if i >= 0:
             message = (f"The drag law gave {beta[i]:g} for particle {p.id[i]} at solid fraction {solid[i]:g} and slip "
@@ -226,6 +300,15 @@ class Coupling:
         raise_everywhere(self.comm, FloatingPointError, message)
         return beta
 
+    def _by_law(self, solid, slip):
+        """Drag coefficient of each particle by the law of :class:`Drag`."""
+        p, sauter = self.particles, None
+        if self.drag.polydisperse:
+            sizes = np.hstack([self.volume, self.volume / p.primary_diameter[:, None]])
+            sums = self._gather(self._on_cells(self._to_cells(sizes)))
+            sauter = sums[:, 0] / sums[:, 1]
+        return self.drag.coefficient(solid, slip, p.primary_diameter, self.density, self.viscosity, sauter)
+
     def _accelerations(self):
         """Densities (particles, 1), infinite if held, and accelerations (particles, d): by gravity, the last mean contact
         force,
@@ -234,13 +317,15 @@ class Coupling:
         inertia, acceleration = self._work.empty("inertia", n, 1), self._work.empty("acceleration", n, self.dimension)
         loops.accelerations(p.held, self.volume, p.density, p.gravity, self._steady, p.mean_contact_force,
                             self.explicit_reaction,
-                            p.properties.get("_pressure_gradient", self._none), inertia, acceleration)
+                            self._none if self.added is not None else p.properties.get("_pressure_gradient", self._none),
+                            inertia, acceleration)
         return inertia, acceleration
 
     # -- fluid to particles --------------------------------------------------------------------------------------------
 
     def to_particles(self, dt):
-        """Give the particles the impulse of the fluid over the step just made, as a force over the next ``dt`` [s].
+        """Give the particles the impulse of the fluid over the step just made, as a force over the next ``dt`` [s], and the
+        change of their spin at once.
 
         Note:
             Collective.
@@ -253,19 +338,39 @@ class Coupling:
         slope = self.gradient_mean() if self.pressure_force is not None else np.zeros((len(volume), 0))
         back = self._back(np.hstack([u, slope]))
         self._kept = (u.copy(), back[:, :d]) if not self.spill.moves else None
-        at_particles, drag = self._gather(back, "velocity_and_slope"), self._none
-        if self.drag is not None:
-            drag = self.scheme.force(at_particles[:, :d])
-        p.relaxation_rate[:] = self.scheme.relaxation_rate if self.drag is not None else 0.0
-        gradient = self._none
+        at_particles = self._gather(back, "velocity_and_slope")
         if self.pressure_force is not None:
             received += (volume * (1 - self.fields[0].x.array[:len(volume), None]) * slope).sum(0)
-            gradient = p.properties.setdefault("_pressure_gradient", np.empty((len(p), d)))
-        given, mass = loops.total_force(self.volume, p.density, self._steady, drag, self.explicit_reaction,
-                                        at_particles[:, d:],
-                                        gradient, p.force)
+        if self.spin is not None:
+            p.angular_velocity += self.turn
+        if self.added is None:
+            given, mass = self._forces(at_particles[:, :d], at_particles[:, d:])
+        else:
+            given, mass = self._forces_with_added_mass(at_particles[:, :d], at_particles[:, d:])
+            if self.pressure_force is not None:
+                received -= (volume * self.fields[3].x.array[:len(volume), None] * slope).sum(0)
         self._momentum_ledger(given, received, mass, changed)
         self._end("drag", tick)
+
+    def _forces(self, fluid_velocity, slope):
+        """Set the particles' forces; returns the sum of those by fields of the fluid (d,), and of the masses."""
+        p, drag, gradient, reaction = self.particles, self._none, self._none, self.explicit_reaction
+        if self.drags:
+            drag = self.scheme.force(fluid_velocity)
+        p.relaxation_rate[:] = self.scheme.relaxation_rate if self.drags else 0.0
+        if self.pressure_force is not None:
+            gradient = p.properties.setdefault("_pressure_gradient", np.empty((len(p), self.dimension)))
+        return loops.total_force(self.volume, p.density, self._steady, drag, reaction, slope, gradient, p.force)
+
+    def _forces_with_added_mass(self, fluid_velocity, slope):
+        """The same with added mass; the fluid has received what contacts did to it in the last step, too."""
+        p, reaction, d = self.particles, self.explicit_reaction, self.dimension
+        given = self.added.force(p, fluid_velocity, slope) - self.late
+        p.relaxation_rate[:] = self.added.relaxation_rate
+        p.force[p.held, :d] += self.volume[p.held] * self._steady
+        if len(reaction):
+            p.force[p.held, :d] += reaction[p.held]
+        return given.sum(0) + reaction.sum(0), p.inertia.sum()
 
     def _momentum_ledger(self, given, received, mass, changed):
         """What particles and fluid gained against each other, and whether the fluid changed anywhere in the step."""
@@ -284,43 +389,6 @@ class Coupling:
         """Book the time of a stage, less the smoothing inside it."""
         self.seconds[stage] += time.perf_counter() - tick[0] - (self.seconds.get("smoothing", 0.0) - tick[1])
 
-    def _owned_volume(self):
-        cells = self.particles.cells
-        return cells.volume[:cells.owned, None]
-
-    def _smooth(self, field):
-        """Smoothing of owned cell values; the identity without."""
-        if self.smoothing is None:
-            return field
-        tick = time.perf_counter()
-        out = self.smoothing(np.ascontiguousarray(field))
-        self.seconds["smoothing"] += time.perf_counter() - tick
-        return out
-
-    def _deposit(self, quantity):
-        """Cell totals (cells, k) of particle quantities, complete on owned and halo cells."""
-        p = self.particles
-        out = np.zeros((len(p.cells.volume), quantity.shape[1]))
-        self.mapping.deposit(np.ascontiguousarray(quantity), out)
-        return p.halo.forward(p.halo.reverse_add(out))
-
-    def _volumes(self, density):
-        """Cell totals on owned and halo cells from densities on owned ones."""
-        return self._on_cells(density) * self.particles.cells.volume[:, None]
-
-    def _to_cells(self, quantity):
-        """Cell densities (owned cells, k) of particle quantities: mapped, smoothed, spilled."""
-        n = self.particles.cells.owned
-        if self.smoothing is None:
-            return self.spill(self._deposit(quantity))[:n] / self._owned_volume()
-        return self.spill(self._volumes(self._smooth(self._deposit(quantity)[:n] / self._owned_volume())))[:n] \
-            / self._owned_volume()
-
-    def _back(self, field):
-        """Owned cell values made ready for particles: spilled back, then smoothed; the transpose of :meth:`_to_cells`."""
-        out = self.spill.transpose(self._on_cells(field))
-        return out if self.smoothing is None else self._on_cells(self._smooth(out[:len(field)]))
-
     def _old_velocity(self, velocity):
         """The cell velocity made ready for particles; what the last step smoothed serves again if nothing was spilled."""
         if self._kept is None or self.spill.moves:
@@ -329,24 +397,6 @@ class Coupling:
         if self.comm.allreduce(int(same)) < self.comm.size:
             return self._back(velocity)
         return np.ascontiguousarray(self._kept[1])
-
-    def _on_cells(self, owned):
-        """Owned cell values continued to the halo."""
-        p = self.particles
-        out = np.zeros((len(p.cells.volume), owned.shape[1]))
-        out[:len(owned)] = owned
-        return p.halo.forward(out)
-
-    def _gather(self, field, name="field"):
-        """Particle means of a field on owned and halo cells, in the array that is kept for the name."""
-        out = self._work.empty(name, len(self.particles), field.shape[1])
-        self.mapping.gather(field, out)
-        return out
-
-    def _set(self, which, values):
-        function, n = self.fields[which], self.particles.cells.owned
-        function.x.array[:n * values.shape[1]] = values[:n].ravel()
-        function.x.scatter_forward()
 
     def _solid_ledger(self, volume):
         """Solid volume on the cells against ``volume`` of this rank's particles, and the fullest cell."""

@@ -2,9 +2,7 @@
 import numpy as np
 import ufl
 from dolfinx import fem
-from dolfinx import mesh as dmesh
 
-from fe_el.coupling.smoothing import Nodes
 from fe_el.dolfinx_api import dof_table, element_of, scalar_space
 
 
@@ -54,28 +52,3 @@ class PressureGradientMean:
         if self.general is not None:
             return self.general()
         return np.einsum("cik,ci->ck", self.gradient, self.pressure.x.array[self.dofs])
-
-
-class ViscousStressMean:
-    """Cell means of div tau = mu laplace u, from the nodal means of a cell velocity; zero at the nodes of the boundary."""
-
-    def __init__(self, mesh, viscosity):
-        self.nodes, self.viscosity = Nodes(mesh), viscosity
-        self.mass = self.nodes.halo.forward(self.nodes.load(np.ones((len(self.nodes.dofs), 1))))
-        mark = np.zeros(self.nodes.number)
-        d = mesh.topology.dim
-        mesh.topology.create_connectivity(d - 1, d)
-        outer = dmesh.exterior_facet_indices(mesh.topology)
-        mark[fem.locate_dofs_topological(self.nodes.space, d - 1, outer)] = 1.0
-        self.inside = self.nodes.halo.forward(self.nodes.halo.reverse_add(mark)) == 0
-
-    def __call__(self, velocity):
-        """(owned cells, d) [N/m^3]."""
-        nodes = self.nodes
-        u = nodes.halo.forward(nodes.load(velocity)) / self.mass
-        slope = np.einsum("cik,cid->ckd", nodes.gradient, u[nodes.dofs])
-        flux = np.einsum("cik,ckd,c->cid", nodes.gradient, slope, nodes.measure)
-        out = np.zeros_like(u)
-        np.add.at(out, nodes.dofs, -self.viscosity * flux)
-        nodes.halo.complete(out)
-        return nodes.means(np.where(self.inside[:, None], out / self.mass, 0.0))

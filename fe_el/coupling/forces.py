@@ -1,4 +1,5 @@
-"""Forces of the fluid on particles, composed as a list."""
+"""Forces of the fluid on particles, composed as a list; what an object of the list is: see
+:mod:`fe_el.coupling.fluid_at_particles`."""
 import inspect
 
 import numpy as np
@@ -70,9 +71,12 @@ class ViscousStress:
     The fluid should then carry the whole div tau: ``VolumeAveragedNavierStokes(..., stress_of_mixture=True)``.
     """
 
+    needs = ("stress_divergence",)
+
+    def force(self, fluid):
+        """V div tau (particles, d) [N]."""
+        return fluid.volume[:, None] * fluid.stress_divergence
+
 
 class Buoyancy:
     """The force -rho_f V g, for fluids whose pressure leaves the hydrostatic part out (no gravity in the fluid)."""
-
-
-FORCES = (Drag, PressureGradient, ViscousStress, Buoyancy)

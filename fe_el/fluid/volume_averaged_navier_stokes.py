@@ -119,7 +119,8 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
 
         Args:
             fields: (void fraction, drag coefficient A, momentum source B): two DG0 Functions and a DG0 vector Function,
-                for instance ``Coupling.fields``; absent: single-phase flow.
+                for instance ``Coupling.fields``; absent: single-phase flow. A fourth, DG0, is the share of the gradient of
+                the solved pressure that the fluid takes beside the void fraction: what light particles hand on to it.
             pressure_share: part (cells,) of pressure gradient and body force that the fluid takes; absent: the void
                 fraction.
 
@@ -165,7 +166,8 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         share = phi if pressure_share is None else pressure_share
         if self.wall_friction is not None:
             drag, source = self.wall_friction.in_cells(self._stress_now, drag, source, q)
-        self._exchange(dt, phi, share, drag, source, nodal, transported)
+        handed = fields[3].x.array[:n] if fields is not None and len(fields) > 3 else None
+        self._exchange(dt, phi, share, drag, source, nodal, transported, handed)
         self.drag_inside.keep(dt, phi, self.velocity.x.array.reshape(-1, d)[:n])
         self.void_fraction, self.void_fractions, self.dt = phi, (phi0, phi), dt
         self.seconds["fluid"] += time.perf_counter() - tick
@@ -180,7 +182,7 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         if self.mass_source is not None:
             self.supply -= self.at_cells(self.mass_source, (self.num_cells,))
 
-    def _exchange(self, dt, phi, share, drag, source, nodal, transported):
+    def _exchange(self, dt, phi, share, drag, source, nodal, transported, handed=None):
         """Stage 3: drag and pressure together; an exact projection with the drag on the diagonal."""
         n, d, work = self.num_cells, self.dimension, self.work
         q, rhs = work.empty("exchanged", n, d), work.zeros("pressure_load", self.nodes)
@@ -189,6 +191,8 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         body[:] = self.density * self.gravity + self.mean_pressure_gradient
         if self.body_force is not None:
             body += self.at_cells(self.body_force, (n, d), self.time - (0.5 * dt if self.second_order else 0.0))
+        if handed is not None:  # of the solved pressure alone
+            body, share = (share / (share + handed))[:, None] * body, share + handed
         kernels.exchange_system(self.dofs, self.gradient, self.volume, self.density, dt, phi, share, self.supply, drag,
                                 source,
                                 body, nodal, self._correction, transported, q, diagonal, weight, rhs)

@@ -98,13 +98,19 @@ class ContactLists:
         room = self._room(speeds)
         x, pairs = self._pairs(room)
         self.radius = self.ghosts.grow(p.diameter / 2)
-        self.inverse_mass = self.ghosts.grow(np.where(p.held, 0.0, 1 / p.mass))
+        self.inverse_mass = self.ghosts.grow(np.where(p.held, 0.0, 1 / p.inertia))
         self.ids, self.material = self.ghosts.grow(p.id), self.ghosts.grow(p.material).view(np.uint32)
         self.x, (self.state, self.force) = np.empty((len(self.radius), 3)), (aligned(len(self.radius), 8) for _ in range(2))
         self.state[:, 0], self.state[:, 7] = self.radius, self.inverse_mass / self.radius
         self._lists(x, pairs, self.ghosts.grow(room), kept, step)
         self.x0, self.age = np.column_stack([p.position, (room - h * speeds) ** -2]), 0  # out of date a sub-step early
         self.rebuilds += 1
+
+    def weigh(self):
+        """Take the particles' inertia as it is now. Collective."""
+        p = self.particles
+        self.inverse_mass[:] = self.ghosts.grow(np.where(p.held, 0.0, 1 / p.inertia))
+        self.state[:, 7] = self.inverse_mass / self.radius
 
     def _choose_skin(self, smallest, largest, speed, h):
         """A skin that lasts some hundred sub-steps with the room that speed adds; always several of the fastest particle."""

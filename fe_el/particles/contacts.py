@@ -84,7 +84,8 @@ class Contacts:
         """Largest sub-step [s]: the shortest contact time in the run over ``steps_per_contact``."""
         p = self.particles
         count = max(getattr(law, "materials", None) or 1 for law in (self.law, self.wall_law))
-        light, small = motion.lightest_and_smallest(p.material, p.density, p.diameter, count)
+        density = p.inertia / p.volume if "added_mass" in p.properties else p.density
+        light, small = motion.lightest_and_smallest(p.material, density, p.diameter, count)
         extremes = (p.speed(), p.diameter.max()) if len(p) else np.zeros(2)
         speed, biggest, *rest = largest_of(p.comm, *extremes, *light, *small)
         light, small = np.array(rest).reshape(2, count)
@@ -123,6 +124,8 @@ class Contacts:
             self._first_forces()
         elif self.stale:
             self._rebuild(h)
+        elif "added_mass" in p.properties:
+            self.lists.weigh()
         p.properties["_start_velocity"] = p.velocity.copy()
         self._drive(dt)
         while done < self.steps_last:
@@ -130,8 +133,8 @@ class Contacts:
             if done < self.steps_last:
                 self._rebuild(h)
         del p.properties["_external"], p.properties["_fading"]
-        p.mean_contact_force = motion.mean_force(p.velocity, p.properties.pop("_start_velocity"), p.mass, self._external(),
-                                                 dt)
+        start = p.properties.pop("_start_velocity")
+        p.mean_contact_force = motion.mean_force(p.velocity, start, p.inertia, self._external(), dt)
         for wall, impulse in zip(self.walls, p.comm.allreduce(self.wall_impulse)):
             wall.force = impulse * h / dt
         self.seconds["contacts"] += time.perf_counter() - tick - (self.seconds["neighbours"] - renewing)
@@ -139,7 +142,7 @@ class Contacts:
     def _external(self):
         """(particles, 3) force by all but contacts, of what is not held [N]."""
         p = self.particles
-        return np.where(p.held[:, None], 0.0, p.mass[:, None] * p.gravity + p.force)
+        return np.where(p.held[:, None], 0.0, p.inertia[:, None] * p.gravity + p.force)
 
     def _drive(self, dt):
         """What moves the particles besides contacts, in every sub-step of the step; it travels with them."""
@@ -147,7 +150,7 @@ class Contacts:
         self.fades = int(largest_of(p.comm, p.relaxation_rate.max(initial=0.0))[0] > 0)
         rows = self._external(), np.zeros((len(p), 4 * self.fades))
         if self.fades:
-            rows = motion.forces_in_step(p.position, p.force, p.mean_contact_force, p.mass, p.gravity, p.relaxation_rate,
+            rows = motion.forces_in_step(p.position, p.force, p.mean_contact_force, p.inertia, p.gravity, p.relaxation_rate,
                                          p.held, dt, self.steps_last)
         p.properties["_external"], p.properties["_fading"] = rows
 

@@ -28,7 +28,8 @@ class Particles:
     Every array has one row per particle of this rank; ``id`` is unique over all ranks and never changes. ``force`` [N]
     is added during :meth:`advance` (the coupling writes it). ``relaxation_rate`` [1/s] is that of the drag in it: velocity
     and position follow the relaxation at this rate that gives the impulse of ``force``; zero: a constant force.
-    ``properties`` holds user arrays that travel along.
+    ``properties`` holds user arrays that travel along; ``properties["added_mass"]`` [kg], where the coupling sets it, is the
+    inertia of fluid that moves with a particle, and ``force`` then that on both, less the weight of the added mass.
 
     Args:
         mesh: dolfinx mesh of triangles or tetrahedra.
@@ -79,6 +80,11 @@ class Particles:
     def mass(self):
         """(particles,) mass [kg]."""
         return self.density * self.volume
+
+    @property
+    def inertia(self):
+        """(particles,) mass with the added mass, if there is one [kg]."""
+        return self.mass + self.properties["added_mass"] if "added_mass" in self.properties else self.mass
 
     def speed(self):
         """Largest speed of a particle on this rank [m/s]. Not collective."""
@@ -274,7 +280,7 @@ class Particles:
             Collective.
         """
         if ahead:
-            way, longest = motion.way_ahead(self.velocity, self.force, self.mean_contact_force, self.mass, self.gravity,
+            way, longest = motion.way_ahead(self.velocity, self.force, self.mean_contact_force, self.inertia, self.gravity,
                                             self.relaxation_rate, self.held, ahead)
             reach = largest_of(self.comm, longest, self.diameter.max(initial=0.0))
             if reach[0] + 3 * reach[1] > self.halo_width:
@@ -349,7 +355,7 @@ class Particles:
         if contacts is None:
             if self.all_held():
                 return
-            motion.free_flight(self.position, self.velocity, self.force, self.mass, self.gravity, self.relaxation_rate,
+            motion.free_flight(self.position, self.velocity, self.force, self.inertia, self.gravity, self.relaxation_rate,
                                self.held, dt)
         else:
             contacts.advance(dt)
