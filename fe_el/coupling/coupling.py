@@ -124,6 +124,8 @@ class Coupling(Maps):
         self.seconds = {"mapping": 0.0, "drag": 0.0}
         if smoothing is not None:
             self.seconds["smoothing"] = 0.0
+        cells, thickness = particles.cells, particles.thickness if d == 2 else 1.0
+        self._cell_size = (math.factorial(d) * cells.volume[:cells.owned] / thickness) ** (1 / d)
         self._kept, self._mapped, self._work, self._none, self.layout = None, None, WorkArrays(), np.zeros((0, d)), None
         self.over_filled, self.over_filled_total, self.solid_volume_error = 0, 0, 0.0
         self.momentum_imbalance, self.max_solid_fraction = 0.0, 0.0
@@ -228,10 +230,7 @@ class Coupling(Maps):
             return self.ahead
         if self.answers is False:
             return 0.5
-        cells, d = self.particles.cells, self.dimension
-        volume = cells.volume[:cells.owned] / (self.particles.thickness if d == 2 else 1.0)
-        speed = np.sqrt((self.cell_velocity ** 2).sum(1))
-        courant = dt * (speed / (math.factorial(d) * volume) ** (1 / d)).max(initial=0.0)
+        courant = loops.largest_courant(self.cell_velocity, self._cell_size, dt)
         density = self.density / self.particles.density.min(initial=np.inf)
         courant, density = largest_of(self.comm, courant, density)
         if density > LIQUID:
@@ -331,24 +330,24 @@ class Coupling(Maps):
             Collective.
         """
         tick = self._begin()
-        p, d, volume = self.particles, self.dimension, self._owned_volume()
-        a, b = self.fields[1].x.array[:len(volume), None], self.fields[2].x.array.reshape(-1, d)[:len(volume)]
+        p, d, n = self.particles, self.dimension, self.particles.cells.owned
+        a, b = self.fields[1].x.array[:n], self.fields[2].x.array.reshape(-1, d)[:n]
         u = self.step_mean()
-        received, changed = (volume * (b - a * u)).sum(0), self.ahead is None and not np.array_equal(u, self.cell_velocity)
-        slope = self.gradient_mean() if self.pressure_force is not None else np.zeros((len(volume), 0))
-        back = self._back(np.hstack([u, slope]))
+        slope = self.gradient_mean() if self.pressure_force is not None else np.zeros((n, 0))
+        rows = self._work.empty("answer", n, d + slope.shape[1])
+        received, changed = loops.answer(p.cells.volume[:n], self.fields[0].x.array[:n], a, b, self.cell_velocity, u, slope,
+                                         rows)
+        changed &= self.ahead is None
+        back = self._back(rows)
         self._kept = (u.copy(), back[:, :d]) if not self.spill.moves else None
         at_particles = self._gather(back, "velocity_and_slope")
         if self.pressure_force is not None:
-            received += (volume * (1 - self.fields[0].x.array[:len(volume), None]) * slope).sum(0)
+            if self.added is not None:
+                received -= (p.cells.volume[:n] * self.fields[3].x.array[:n]) @ slope
         if self.spin is not None:
             p.angular_velocity += self.turn
-        if self.added is None:
-            given, mass = self._forces(at_particles[:, :d], at_particles[:, d:])
-        else:
-            given, mass = self._forces_with_added_mass(at_particles[:, :d], at_particles[:, d:])
-            if self.pressure_force is not None:
-                received -= (volume * self.fields[3].x.array[:len(volume), None] * slope).sum(0)
+        forces = self._forces if self.added is None else self._forces_with_added_mass
+        given, mass = forces(at_particles[:, :d], at_particles[:, d:])
         self._momentum_ledger(given, received, mass, changed)
         self._end("drag", tick)
 

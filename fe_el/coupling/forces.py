@@ -18,6 +18,9 @@ def _coefficient(drag, solid, diameter, viscosity):
     return 18 * viscosity * (1 - solid) * drag / (diameter * diameter)
 
 
+PART = 8192  # particles whose drag by a built-in law is computed at once: what lies between stays in the caches
+
+
 class Drag:
     """Drag by a law ``law(solid_fraction, reynolds) -> F`` (see :mod:`fe_el.drag_laws`), or the name of a built-in one.
 
@@ -42,7 +45,14 @@ class Drag:
     def coefficient(self, solid_fraction, slip, diameter, density, viscosity, sauter=None):
         """beta = 18 mu phi F / d^2 per particle volume (particles,) [kg/(m^3 s)]; ``sauter`` is the local d32 [m]."""
         size = diameter if sauter is None else sauter
-        drag = self.law(solid_fraction, _reynolds(solid_fraction, slip, size, density, viscosity))
+        reynolds = _reynolds(solid_fraction, slip, size, density, viscosity)
+        if self.law in drag_laws.LAWS.values() and len(slip) > PART:
+            drag = np.empty(len(slip))
+            for first in range(0, len(slip), PART):
+                part = slice(first, first + PART)
+                drag[part] = self.law(solid_fraction[part], reynolds[part])
+        else:
+            drag = self.law(solid_fraction, reynolds)
         if sauter is not None:
             y = diameter / sauter
             drag = drag * (y + 0.064 * y ** 3)

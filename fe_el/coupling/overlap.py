@@ -3,16 +3,21 @@ import numpy as np
 from numba import njit
 
 from fe_el.borrowed import borrowed
-from fe_el.coupling.shares import MANY, ListedShares, in_order, order_by_cell
+from fe_el.coupling.shares import ListedShares, in_order
 from fe_el.direct_calls import Direct
+from fe_el.particles.location import MANY, curve_through, order_by_cell
 
 FAST = {"contract", "reassoc", "nsz", "arcp"}
 BALL = 4 * np.pi / 3  # volume of a sphere, in cubed radii
 NEGLIGIBLE = 1e-13  # of a sphere: cells that hold less are left out
 INWARDS = 1e-8  # of the way to the middle of its cell: how far centres are moved
-# Only _visit is put into its caller by numba: with _cut and _inside too it is a fifth faster, but takes 45 s in place of 10
-# to compile.
 BLOCK = 256  # spheres whose edges are computed in one go
+U = np.uint64  # indices without a sign need no test for counting from the end
+RECORD = 32  # numbers of a cell
+OTHER = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]], U)  # facets beside each facet
+PAIR = np.array([[0, 1, 2], [0, 3, 4], [1, 3, 5], [2, 4, 5]], U)  # and the numbers of these pairs
+ENDS = np.array([[[0, 0], [2, 3], [1, 3], [1, 2]], [[2, 3], [0, 0], [0, 3], [0, 2]],
+                 [[1, 3], [0, 3], [0, 0], [0, 1]], [[1, 2], [0, 2], [0, 1], [0, 0]]], U)  # vertices of the edge of a pair
 TAN_EIGHTH = np.sqrt(2) - 1  # tangent of an eighth of pi
 
 
@@ -44,61 +49,114 @@ def _angle(y, x):
     return np.pi - angle if x < 0 else angle
 
 
-def facet_planes(cells):
-    """Planes (cells, 4, 4) and neighbours (cells, 4), in two dimensions with a fourth facet far away.
+def cell_records(cells):
+    """Geometry (32 cells,) and neighbours (4 cells,) of the cells, in two dimensions with a fourth facet far away.
 
-    The distance of a point x inside facet f is p[:3, f] . (x - corner 0) + p[3, f] [m]: small numbers have small errors.
+    Of each cell: the inward unit normals of its four facets (their x, y and z), the distance of facet 0 from corner 0, the
+    middle, corner 0 and the distance of facet 3 from it [m]; of facets 01, 02, 03, 12, 13, 23 the cosines between normals
+    and the inverses of the sines. Distances are taken from a corner: small ones have small errors.
     """
     m, number = cells.neighbour.shape[1], len(cells.volume)
-    slope = np.linalg.norm(cells.barycentric[:, :, :3], axis=2)
-    plane, neighbour = np.zeros((number, 4, 4)), np.full((number, 4), -1, np.int32)
-    plane[:, :3, :m] = (cells.barycentric[:, :, :3] / slope[:, :, None]).transpose(0, 2, 1)
-    plane[:, 3, 0], plane[:, 3, m:] = 1 / slope[:, 0], 1e30
+    slope, (one, other) = np.linalg.norm(cells.barycentric[:, :, :3], axis=2), np.triu_indices(4, 1)
+    out, neighbour = np.zeros((number, RECORD)), np.full((number, 4), -1, np.int32)
+    normal = np.zeros((number, 4, 3))
+    normal[:, :m] = cells.barycentric[:, :, :3] / slope[:, :, None]
+    out[:, :12] = normal.transpose(0, 2, 1).reshape(number, 12)
+    out[:, 12], out[:, 13:16], out[:, 16:19] = 1 / slope[:, 0], cells.corner.mean(1), cells.corner[:, 0]
+    out[:, 19] = 0.0 if m == 4 else 1e30
+    out[:, 20:26] = (normal[:, one] * normal[:, other]).sum(2)
+    out[:, 26:] = 1 / np.sqrt(np.maximum(1 - out[:, 20:26] ** 2, 1e-30))
     neighbour[:, :m] = cells.neighbour
-    return plane, neighbour
+    return out.ravel(), neighbour.ravel()
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def _cut(plane, corner, c, f, x, y, z, r, work, touched, edge, e):
-    """Edges at which facet f of cell c ends inside a sphere, written to ``edge`` from e on.
+@njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
+def _visit(record, neighbour, shift, slot, place, r, number, shares, notes, count, e):
+    """Walk from a sphere's cell through the facets that it touches; what a facet's edges take is left to be done.
 
-    Row 0 of ``work`` holds the distance of the centre inside the plane of each facet, in radii.
+    Of a facet that ends in the sphere are noted: in ``geometry`` the distance of the centre from its plane in radii, the
+    centre and one over the radius, in ``cut`` cell and facet, and the entries that lose and gain the part beyond it. Of an
+    edge: in ``code`` the number of the note and the facet beside, and how far inside the foot of the centre is, in radii.
 
     Returns:
-        Their end, -1 if the sphere reaches the facet's plane beside the facet only; and the part of a unit sphere beyond the
-        plane, none if the foot of the centre is outside the facet.
+        The number of cells, 0 for more than ``place`` has room for, and the new numbers of notes and edges.
     """
-    n0, n1, n2, height = plane[c, 0, f], plane[c, 1, f], plane[c, 2, f], work[0, f]
-    room, number, beside, above = 1 - height * height, 0, False, True
-    for g in range(4):
-        cosine = n0 * plane[c, 0, g] + n1 * plane[c, 1, g] + n2 * plane[c, 2, g]
-        work[1, g], work[2, g] = work[0, g] - height * cosine, 1 - cosine * cosine
-    work[1, f] = 2.0
-    for g in range(4):
-        touches = work[1, g] * work[1, g] < room * work[2, g]
-        beside |= (work[1, g] < 0) & (not touches)
-        touched[number] = g
-        number += touches
-    height, end = abs(height), -1 if beside else e + number
-    for n in range(0 if beside else number):
-        g, at = touched[n], e + n
-        above &= work[1, g] >= 0
-        edge[0, at], edge[1, at], edge[2, at] = height, work[1, g], work[2, g]
-        edge[3, at], edge[4, at], edge[5, at] = -1e30, 1e30, 1.0
-        if corner.shape[1] == 4:  # the edge of the facets f and g joins the other two vertices
-            p = np.uint64(0 if f > 0 and g > 0 else (1 if f != 1 and g != 1 else 2))
-            q = np.uint64(6 - f - g) - p
-            x0, y0, z0 = corner[c, p, 0], corner[c, p, 1], corner[c, p, 2]
-            e0, e1, e2 = corner[c, q, 0] - x0, corner[c, q, 1] - y0, corner[c, q, 2] - z0
-            along, square = (x0 - x) * e0 + (y0 - y) * e1 + (z0 - z) * e2, e0 * e0 + e1 * e1 + e2 * e2
-            edge[3, at], edge[4, at], edge[5, at] = along / r, (along + square) / r, square
-    return end, BALL * (0.5 - 0.75 * height + 0.25 * height * height * height) if above else 0.0
+    index, weight = shares
+    s, list_of, geometry, cut, code, edge = notes
+    periodic, scale, outside, known, done, fits = len(shift) > 0, 1 / r, U(len(index)) - U(1), U(1), U(0), True
+    while fits and done < known:
+        c, at, reached = U(index[number + done]), done if periodic else U(0), U(0)
+        base, x, y, z = c * U(RECORD), place[at, 0], place[at, 1], place[at, 2]
+        dx, dy, dz = x - record[base + U(16)], y - record[base + U(17)], z - record[base + U(18)]
+        for f in range(4):
+            k = base + U(f)
+            s[f] = (record[k] * dx + record[k + U(4)] * dy + record[k + U(8)] * dz) * scale
+        s[0] += record[base + U(12)] * scale
+        s[3] += record[base + U(19)] * scale
+        slot[c] = np.int32(done)
+        for f in range(4):  # facets that were met from their other side are done
+            target = neighbour[c * U(4) + U(f)]
+            before = slot[U(max(target, 0))]
+            list_of[reached] = U(f)
+            reached += U((abs(s[f]) < 1) & ((target < 0) | (before < 0) | (before > np.int32(done))))
+        fits = known + reached <= U(len(place))
+        for n in range(reached if fits else U(0)):
+            f, last, beside, above = list_of[n], e, False, True
+            h = s[f]
+            for k in range(3):
+                g, pair = OTHER[f, k], base + PAIR[f, k]
+                q = (s[g] - h * record[pair + U(20)]) * record[pair + U(26)]
+                touches = q * q < 1 - h * h
+                beside |= (q < 0) & (not touches)  # the sphere reaches the plane beside the facet
+                above &= q >= 0
+                edge[1, e], code[e] = q, count * U(4) + g
+                e += U(touches)
+            e = last if beside else e
+            target = neighbour[c * U(4) + f]
+            t = U(max(target, 0))
+            new = (target >= 0) & (slot[t] < 0) & (not beside)
+            there = np.int32(known) if new else slot[t]
+            slot[t], index[number + known], weight[number + known] = there, np.int32(t), 0.0
+            if periodic and new:
+                for k in range(3):
+                    place[known, k] = place[done, k] + shift[c, f, k]
+            own, behind = number + done, number + U(there) if (target >= 0) & (there >= 0) else outside  # behind a wall
+            forward, far = (done == U(0)) | (h >= 0), abs(h)
+            source, sink = own if forward else behind, behind if forward else own
+            part = 0.5 - 0.75 * far + 0.25 * far * far * far if above & (not beside) else 0.0
+            weight[source] -= part
+            weight[sink] += part
+            geometry[count, 0], geometry[count, 1], geometry[count, 2], geometry[count, 3] = far, x, y, z
+            geometry[count, 4] = scale
+            cut[count, 0], cut[count, 1], cut[count, 2] = c * U(4) + f, source, sink
+            count += U(not beside)
+            known += U(new)
+        done += U(1)
+    for k in range(known):
+        slot[U(index[number + U(k)])] = -1
+    return known if fits else U(0), count, e
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def _take_edges(edge, facet, number, beyond):
-    """Take from the part beyond each facet's plane what lies beyond its edges: the part in the cone through the facet is
-    left.
+def _place_edges(corner, geometry, cut, code, edge, number):
+    """Complete ``edge``: distances of the plane, and of the edge from the foot of the centre, where it begins and ends from
+    there, times its length over the radius, and the square of the length."""
+    for e in range(number):
+        k, g = code[e] >> U(2), code[e] & U(3)
+        c, f = cut[k, 0] >> U(2), cut[k, 0] & U(3)
+        edge[0, e], edge[2, e], edge[3, e], edge[4, e] = geometry[k, 0], -1e30, 1e30, 1.0
+        if corner.shape[1] == 4:
+            p, q, along, square = ENDS[f, g, 0], ENDS[f, g, 1], 0.0, 0.0
+            for i in range(3):
+                side = corner[c, q, i] - corner[c, p, i]
+                along += (corner[c, p, i] - geometry[k, 1 + i]) * side
+                square += side * side
+            edge[2, e], edge[3, e], edge[4, e] = along * geometry[k, 4], (along + square) * geometry[k, 4], square
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _take_edges(edge, cut, code, number, weight):
+    """Give back what of the part beyond each facet's plane lies beyond its edges: that in the cone through it is left.
 
     Per edge: the part of a unit sphere beyond a plane at distance h, in the directions between a piece of a line in it and
     farther out. The line is t from the foot of the centre in the plane, the piece lies from ``low`` to ``high`` along it and
@@ -106,105 +164,41 @@ def _take_edges(edge, facet, number, beyond):
     (2 arctan(h l, t R) - h (3 - h^2) arctan(l, t) + h t l) / 6; the difference of two arcs is one arc.
     """
     for e in range(number):
-        h, inside = edge[0, e], edge[1, e] / np.sqrt(edge[2, e])
-        t, scale = abs(inside), 1 / np.sqrt(edge[5, e])
+        h, inside = edge[0, e], edge[1, e]
+        t, scale = abs(inside), 1 / np.sqrt(edge[4, e])
         square = h * h + t * t
         half = np.sqrt(max(1 - square, 0.0))
-        low, high = max(-half, edge[3, e] * scale), min(half, edge[4, e] * scale)
+        low, high = max(-half, edge[2, e] * scale), min(half, edge[3, e] * scale)
         high = max(low, high)
         a, b = np.sqrt(square + low * low), np.sqrt(square + high * high)
         arc = _angle(h * t * (high * a - low * b), t * t * a * b + h * h * low * high)
         around = _angle(t * (high - low), t * t + low * high)
-        part = (2 * arc - h * (3 - h * h) * around + h * t * (high - low)) / 6
+        part = (2 * arc - h * (3 - h * h) * around + h * t * (high - low)) / (6 * BALL)
         edge[0, e] = part if inside >= 0 else -part
     for e in range(number):
-        beyond[facet[e]] -= edge[0, e]
-
-
-@njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
-def _visit(plane, corner, neighbour, shift, slot, place, r, number, index, work, list_of, edge, facet, entry, beyond, count,
-           e):
-    """Walk from a sphere's cell through the facets that it touches: the cells go to ``index``, from ``number`` on.
-
-    Returns:
-        The number of cells, 0 for more than ``place`` has room for, and the new numbers of facets and edges.
-    """
-    periodic, known, done, fits, scale = len(shift) > 0, 1, 0, True, 1 / r
-    while fits and done < known:
-        c, at, reached = np.uint64(index[number + done]), done if periodic else 0, 0
-        x, y, z = place[at, 0], place[at, 1], place[at, 2]
-        dx, dy, dz = x - corner[c, 0, 0], y - corner[c, 0, 1], z - corner[c, 0, 2]
-        for f in range(4):
-            work[0, f] = (plane[c, 0, f] * dx + plane[c, 1, f] * dy + plane[c, 2, f] * dz + plane[c, 3, f]) * scale
-        slot[c] = done
-        for f in range(4):  # facets that were met from their other side are done
-            target = neighbour[c, f]
-            before = slot[np.uint64(max(target, 0))]
-            list_of[0, reached] = f
-            reached += (abs(work[0, f]) < 1) & ((target < 0) | (before < 0) | (before > done))
-        for n in range(reached):
-            f = list_of[0, n]
-            end, cap = _cut(plane, corner, c, f, x, y, z, r, work, list_of[1], edge, e)
-            if end < 0:
-                continue
-            target, behind = neighbour[c, f], len(index) - 1 - number  # behind a wall: nowhere
-            if target >= 0:
-                behind = slot[np.uint64(target)]
-            if behind < 0:
-                if known == len(place):
-                    fits = False
-                    break
-                behind = known
-                slot[np.uint64(target)], index[number + known] = known, target
-                if periodic:
-                    for k in range(3):
-                        place[known, k] = place[done, k] + shift[c, f, k]
-                known += 1
-            forward = done == 0 or work[0, f] >= 0
-            entry[count, 0], entry[count, 1] = number + (done if forward else behind), number + (behind if forward else done)
-            beyond[count] = cap
-            while e < end:
-                facet[e] = count
-                e += 1
-            count += 1
-        done += 1
-    for k in range(known):
-        slot[np.uint64(index[number + k])] = -1
-    return known if fits else 0, count, e
+        k = code[e] >> U(2)
+        weight[cut[k, 1]] += edge[0, e]
+        weight[cut[k, 2]] -= edge[0, e]
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def _share_out(entry, beyond, count, raw, first, last, start, index, weight):
-    """Shares of the spheres first to last, whose cells stand from raw[k] on, from the parts beyond facets."""
-    for k in range(raw[0], raw[last - first]):
-        weight[k] = 0.0
-    for k in range(last - first):
-        weight[raw[k]] = BALL
-    for k in range(count):
-        weight[entry[k, 0]] -= beyond[k]
-        weight[entry[k, 1]] += beyond[k]
-    end = start[first]
-    for i in range(first, last):
-        total, begin, own = 0.0, end, index[raw[i - first]]
-        for k in range(raw[i - first], raw[i - first + 1]):
-            if weight[k] > NEGLIGIBLE * BALL:
-                total, index[end], weight[end] = total + weight[k], index[k], weight[k]
-                end += 1
+def _keep_parts(raw, first, last, start, index, weight):
+    """Shares of the spheres first to last from their parts in the cells, which stand from raw[k] on."""
+    end = U(start[first])
+    for i in range(last - first):
+        total, begin, own = 0.0, end, index[U(raw[i])]
+        for k in range(U(raw[i]), U(raw[i + 1])):
+            part = weight[k]
+            there = part > NEGLIGIBLE
+            index[end], weight[end] = index[k], part
+            total, end = total + (part if there else 0.0), end + U(there)
         if begin == end:  # hardly anything of the sphere is in the mesh
             total, index[end], weight[end] = 1.0, own, 1.0
-            end += 1
+            end += U(1)
+        total = 1 / total
         for k in range(begin, end):
-            weight[k] /= total
-        start[i + 1] = end
-
-
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def _inside(plane, corner, c, x, y, z, r):
-    """Whether a sphere is wholly inside cell c."""
-    x, y, z, inside = x - corner[c, 0, 0], y - corner[c, 0, 1], z - corner[c, 0, 2], True
-    for f in range(4):
-        inside &= plane[c, 0, f] * x + plane[c, 1, f] * y + plane[c, 2, f] * z + plane[c, 3, f] >= r
-    return inside
+            weight[k] *= total
+        start[first + i + 1] = end
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -216,7 +210,7 @@ def overlap_shares(cells, slot, place, scratch, spheres, first, start, index, we
     Spheres are taken in blocks, so that the edges of a block are one loop without branches.
 
     Args:
-        cells: planes, corners, neighbours (see :func:`facet_planes`) and shifts of the cells.
+        cells: geometry and neighbours (see :func:`cell_records`), corners and shifts of the cells.
         slot: (cells,) all -1: place in the list of the sphere at hand.
         place: (limit, 3) for the centre, as each cell of a periodic mesh sees it; a sphere is in ``limit`` cells at most.
         scratch: see :func:`scratch_for`.
@@ -224,42 +218,39 @@ def overlap_shares(cells, slot, place, scratch, spheres, first, start, index, we
     """
     cells, slot, place, scratch = borrowed((cells, slot, place, scratch))
     spheres, start, index, weight = borrowed((spheres, start, index, weight))
-    plane, corner, neighbour, shift = cells
+    record, neighbour, corner, shift = cells
     cell, position, radius = spheres
-    edge, facet, entry, beyond, work, list_of, raw = scratch
-    limit, i, fits, most = len(place), first, True, len(facet)
+    notes, raw = scratch
+    limit, i, fits, most = len(place), first, True, len(notes[2])
     while fits and i < len(cell):
-        begin, number, count, e = i, start[i], 0, 0
+        begin, number, count, e = i, U(start[i]), U(0), U(0)
         raw[0] = number
-        while i < len(cell) and i - begin < BLOCK and e + 6 * limit + 6 <= most:
-            fits = number + limit < len(index)
+        while i < len(cell) and i - begin < BLOCK and count + U(4 * limit) < U(most):
+            fits = number + U(limit) < U(len(index))
             if not fits:
                 break
-            index[number] = cell[i]
-            known, facets, edges = 1, count, e
-            if not _inside(plane, corner, cell[i], position[i, 0], position[i, 1], position[i, 2], radius[i]):
-                for k in range(3):  # to a centre on an edge its facets would have no direction
-                    middle = 0.0
-                    for v in range(corner.shape[1]):
-                        middle += corner[cell[i], v, k] / corner.shape[1]
-                    place[0, k] = position[i, k] + INWARDS * (middle - position[i, k])
-                known, facets, edges = _visit(plane, corner, neighbour, shift, slot, place, radius[i], number, index, work,
-                                              list_of, edge, facet, entry, beyond, count, e)
-            fits = known > 0
+            index[number], weight[number], middle = cell[i], 1.0, U(cell[i]) * U(RECORD) + U(13)
+            for k in range(3):  # to a centre on an edge its facets would have no direction
+                place[0, k] = position[i, k] + INWARDS * (record[middle + U(k)] - position[i, k])
+            known, count, e = _visit(record, neighbour, shift, slot, place, radius[i], number, (index, weight), notes, count,
+                                     e)
+            fits = known > U(0)
             if not fits:
                 break
-            i, number, count, e = i + 1, number + known, facets, edges
+            i, number = i + 1, number + known
             raw[i - begin] = number
-        _take_edges(edge, facet, e, beyond)
-        _share_out(entry, beyond, count, raw, begin, i, start, index, weight)
+        _place_edges(corner, notes[2], notes[3], notes[4], notes[5], e)
+        _take_edges(notes[5], notes[3], notes[4], e, weight)
+        _keep_parts(raw, begin, i, start, index, weight)
     return i
 
 
 def scratch_for(limit):
     """Arrays that :func:`overlap_shares` works on, for spheres in ``limit`` cells at most."""
-    most = max(8 * limit, 1024)  # a sphere has 2 facets per cell and 3 edges per facet at most
-    return (np.empty((6, most)), np.empty(most, np.int64), np.empty((most, 2), np.int64), np.empty(most), np.empty((3, 4)),
-            np.empty((2, 5), np.int64), np.empty(BLOCK + 1, np.int64))
+    most = max(8 * limit, 1024)  # facets of a block that end inside spheres: up to four of each cell, with three edges
+    notes = (np.empty(4), np.empty(4, U), np.empty((most, 5)), np.empty((most, 3), U), np.empty(3 * most, U),
+             np.empty((5, 3 * most)))
+    return notes, np.empty(BLOCK + 1, U)
 
 
 class OverlapVolume(ListedShares):
@@ -280,10 +271,10 @@ class OverlapVolume(ListedShares):
         """Find the shares of particles at ``position`` with centre in ``cell``."""
         n, done = len(cell), 0
         if self._barycentric is not cells.barycentric:
-            self._barycentric, (self._plane, self._neighbour) = cells.barycentric, facet_planes(cells)
-            self._slot = np.full(len(cells.volume), -1, np.int32)
+            self._barycentric, self._geometry = cells.barycentric, cell_records(cells)
+            self._slot, self._curve = np.full(len(cells.volume), -1, np.int32), curve_through(cells)
         self._reserve(n, n + len(self._place) + 1)
-        spheres, around = self._in_order(cell, position, radius), (self._plane, cells.corner, self._neighbour, cells.shift)
+        spheres, around = self._in_order(cell, position, radius), (*self._geometry, cells.corner, cells.shift)
         while done < n:
             done = self._overlap_shares(around, self._slot, self._place, self._scratch, spheres, done, self._start,
                                         self._cell, self._weight)
@@ -296,7 +287,7 @@ class OverlapVolume(ListedShares):
 
     def _in_order(self, cell, position, radius):
         """Cells, positions and radii, cell by cell where that pays."""
-        self.order = order_by_cell(cell, len(self._slot)) if len(cell) >= MANY else np.empty(0, np.int32)
+        self.order = order_by_cell(cell, position, self._curve) if len(cell) >= MANY else np.empty(0, np.int32)
         if not len(self.order):
             return cell, position, radius
         if self._spheres is None or len(self._spheres[0]) != len(cell):

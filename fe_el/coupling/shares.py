@@ -3,26 +3,6 @@ import numpy as np
 from numba import njit
 
 FAST = {"contract", "reassoc", "nsz", "arcp"}
-MANY = 50_000  # particles, from which cells of particles in any order no longer stay in the caches
-
-
-@njit(cache=True)
-def order_by_cell(cell, cells):
-    """Rows of the particles cell by cell; none if neighbours in memory are mostly neighbours in the numbers of the cells."""
-    far = 0
-    for i in range(1, len(cell)):
-        far += abs(cell[i] - cell[i - 1]) > 256
-    if 4 * far < len(cell):
-        return np.empty(0, np.int32)
-    start, order = np.zeros(cells + 1, np.int32), np.empty(len(cell), np.int32)
-    for c in cell:
-        start[c + 1] += 1
-    for c in range(cells):
-        start[c + 1] += start[c]
-    for i in range(len(cell)):
-        order[start[cell[i]]] = i
-        start[cell[i]] += 1
-    return order
 
 
 @njit(cache=True)

@@ -2,8 +2,11 @@
 import numpy as np
 from numba import njit
 
+from fe_el.particles.neighbours import morton_code
+
 INSIDE = 0.0  # the cells' maps are moved a little, so that a point on a facet belongs to one cell
 AT_BOUNDARY = -1e-8  # a point on the boundary counts as inside
+MANY = 50_000  # particles, from which cells of particles in any order no longer stay in the caches
 
 
 @njit(cache=True)
@@ -68,6 +71,38 @@ def locate_from(barycentric, neighbour, shift, vertex_start, vertex_cells, local
                         cell[i] = c
             missing += cell[i] < 0
     return missing
+
+
+def curve_through(cells):
+    """Ranks (cells,) of the cells along a Morton curve through their middles, and how far they reach [m]."""
+    middle = cells.corner.mean(1)
+    reach = np.ptp(cells.corner, 1).max(1).mean() if len(middle) else 1.0
+    rank = np.empty(len(middle), np.int32)
+    rank[np.argsort(morton_code(middle, middle.min(0, initial=np.inf), 0.5 * reach), kind="stable")] = np.arange(len(middle))
+    return rank, reach
+
+
+@njit(cache=True)
+def order_by_cell(cell, position, curve):
+    """Rows of the particles cell by cell along the curve; none if most are less than four cells from the one before them."""
+    far, (rank, reach) = 0, curve
+    for i in range(1, len(cell)):
+        square = 0.0
+        for k in range(3):
+            square += (position[i, k] - position[i - 1, k]) ** 2
+        far += square > 16 * reach * reach
+    if 4 * far < len(cell):
+        return np.empty(0, np.int32)
+    start, order = np.zeros(len(rank) + 1, np.int32), np.empty(len(cell), np.int32)
+    for c in cell:
+        start[rank[c] + 1] += 1
+    for c in range(len(rank)):
+        start[c + 1] += start[c]
+    for i in range(len(cell)):
+        c = rank[cell[i]]
+        order[start[c]] = i
+        start[c] += 1
+    return order
 
 
 @njit(cache=True)

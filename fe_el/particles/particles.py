@@ -25,11 +25,12 @@ class Particles:
     A parcel stands for ``coarse_graining``^3 particles of ``diameter / coarse_graining``: it collides with its own diameter,
     has the mass and volume of all, and the drag of each of them.
 
-    Every array has one row per particle of this rank; ``id`` is unique over all ranks and never changes. ``force`` [N]
-    is added during :meth:`advance` (the coupling writes it). ``relaxation_rate`` [1/s] is that of the drag in it: velocity
-    and position follow the relaxation at this rate that gives the impulse of ``force``; zero: a constant force.
-    ``properties`` holds user arrays that travel along; ``properties["added_mass"]`` [kg], where the coupling sets it, is the
-    inertia of fluid that moves with a particle, and ``force`` then that on both, less the weight of the added mass.
+    Every array has one row per particle of this rank, in an order that may change when they are advanced; ``id`` is unique
+    over all ranks and never changes. ``force`` [N] is added during :meth:`advance` (the coupling writes it).
+    ``relaxation_rate`` [1/s] is that of the drag in it: velocity and position follow the relaxation at this rate that gives
+    the impulse of ``force``; zero: a constant force. ``properties`` holds user arrays that travel along;
+    ``properties["added_mass"]`` [kg], where the coupling sets it, is the inertia of fluid that moves with a particle, and
+    ``force`` then that on both, less the weight of the added mass.
 
     Args:
         mesh: dolfinx mesh of triangles or tetrahedra.
@@ -49,7 +50,7 @@ class Particles:
         self.gravity = np.zeros(3)
         self.gravity[:len(gravity)] = gravity
         self.thickness, self.halo_width, self.step = thickness, -1.0, 0
-        self.left, self.left_mass, self._open = 0, 0.0, None
+        self.left, self.left_mass, self._open, self._place = 0, 0.0, None, None
         for name, shape in FIELDS.items():
             setattr(self, name, np.zeros((0, *shape)))
         self.cell, self.id, self.material = np.zeros(0, np.int32), np.zeros(0, np.int64), np.zeros(0, np.int32)
@@ -93,9 +94,11 @@ class Particles:
     def reach_halo(self, width):
         """Make the halo of cells at least ``width`` wide [m]."""
         if width > self.halo_width:
-            self.halo_width = width
+            alone, self.halo_width = self.comm.size == 1 and self.halo_width >= 0, width
+            if alone:
+                return  # one rank has all cells
             self.cells, self.halo = _mesh.cell_mesh(self.mesh, width, self.thickness, self.period)
-            self.search = location.CellSearch(self.cells)
+            self.search, self._curve = location.CellSearch(self.cells), None
             number = len(self.cells.volume)
             self._cell_owner = (self.halo.forward(np.full(number, self.comm.rank, np.int32)),
                                 self.halo.forward(np.arange(number, dtype=np.int32)))
@@ -191,6 +194,16 @@ class Particles:
         self.properties = {name: a[rows] for name, a in self.properties.items()}
         self.layout += 1
 
+    def _put_in_order(self):
+        """Sort many particles by their cells where those that follow each other in memory are no longer near in space."""
+        if len(self) < location.MANY:
+            return
+        if self._curve is None:
+            self._curve = location.curve_through(self.cells)
+        order = location.order_by_cell(self.cell, self.position, self._curve)
+        if len(order):
+            self.select(order)
+
     def locate(self):
         """Find the cell of every particle and move particles to the ranks of their cells.
 
@@ -270,7 +283,7 @@ class Particles:
         """Cell and position (wrapped into a periodic box) of every particle now, without changing the particles.
 
         A particle that is on its way out of the mesh keeps its last cell, until the next :meth:`locate` removes it or says
-        that it is lost.
+        that it is lost. The next call writes into the same arrays.
 
         Args:
             ahead (float): where velocity and acceleration of the last step take it in that half of a step [s]; now, if that
@@ -279,38 +292,48 @@ class Particles:
         Note:
             Collective.
         """
-        if ahead:
-            way, longest = motion.way_ahead(self.velocity, self.force, self.mean_contact_force, self.inertia, self.gravity,
-                                            self.relaxation_rate, self.held, ahead)
-            reach = largest_of(self.comm, longest, self.diameter.max(initial=0.0))
-            if reach[0] + 3 * reach[1] > self.halo_width:
-                self.reach_halo(1.5 * reach[0] + 3 * reach[1])
-        cell, position, outside = self._walked(self.position, self.cell)
-        if outside:
-            cell = np.where(cell < 0, self.cell, cell)
-        if ahead:
-            later, place, outside = self._walked(np.add(self.position, way, out=way), cell)
-            if outside:
-                cell, position = np.where(later < 0, cell, later), np.where((later < 0)[:, None], position, place)
-            else:
-                cell, position = later, place
-        return cell, position
+        if self._place is None or len(self._place[1]) != len(self):
+            self._place = np.empty_like(self.cell), np.empty_like(self.position)
+        if not ahead:
+            return self._now(slice(None), *self._place)
+        cell, place = self._place
+        longest = motion.places_ahead(self.position, self.velocity, self.force, self.mean_contact_force, self.inertia,
+                                      self.gravity, self.relaxation_rate, self.held, ahead, place)
+        reach = largest_of(self.comm, longest, self.diameter.max(initial=0.0))
+        if reach[0] + 3 * reach[1] > self.halo_width:
+            self.reach_halo(1.5 * reach[0] + 3 * reach[1])
+        if self._walk(self.cell, cell, place):  # some may be found from where they are now
+            rows = np.flatnonzero(cell < 0)
+            now, position = self._now(rows, cell[rows], place[rows])
+            later, far = now.copy(), place[rows]
+            self._walk(now, later, far)
+            cell[rows] = np.where(later < 0, now, later)
+            place[rows] = np.where((later < 0)[:, None], position, far)
+        return cell, place
 
-    def _walked(self, position, start):
-        """Cells, -1 outside the mesh, and wrapped positions of points near the cells ``start``; and how many are outside.
+    def _now(self, rows, cell, place):
+        """Fill in cells and wrapped positions of some particles; those outside the mesh keep their last cell."""
+        last, place[:] = self.cell[rows], self.position[rows]
+        if self._walk(last, cell, place):
+            cell[cell < 0] = last[cell < 0]
+        return cell, place
+
+    def _walk(self, start, cell, place):
+        """Fill in the cells, -1 outside the mesh, of points near the cells ``start``, and wrap the points; returns how many
+        are outside.
 
         The walk takes points through periodic facets; only what it does not find is wrapped first, as the cells of another
         period may be on another rank.
         """
-        cell, place = start.copy(), position.copy()
+        cell[:] = start
         outside = location.locate(self.cells, cell, place)
         if outside and self.period is not None:
             far = np.flatnonzero(cell < 0)
-            again, wrapped = start[far].copy(), position[far].copy()
+            again, wrapped = start[far], place[far]
             self._wrap(wrapped)
             outside = location.locate(self.cells, again, wrapped)
             cell[far], place[far] = again, wrapped
-        return cell, place, outside
+        return outside
 
     # -- motion ----------------------------------------------------------------------------------------------------
 
@@ -367,6 +390,7 @@ class Particles:
         raise_everywhere(self.comm, FloatingPointError, message)
         if contacts is None:
             self.locate()
+            self._put_in_order()
 
     def momentum(self):
         """Total momentum of all particles (3,) [kg m/s]."""
