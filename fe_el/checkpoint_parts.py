@@ -70,6 +70,9 @@ def set_contacts(c, state):
         kept.append((order[place[here]], other[here].astype(np.int64), rows["spring"][here].reshape(-1, lists.width)))
     same = state["same"]
     lists.shape[:], lists.motion[:] = same["shape"], same["motion"]
+    lists.move_walls()
+    for wall, row in zip(lists.walls, lists.motion):
+        wall.point, wall.velocity, wall.angular_velocity = row[:3].copy(), row[3:6].copy(), row[6:].copy()
     lists.skin = None if np.isnan(same["skin"]) else float(same["skin"])
     lists.restored, lists.springs = kept, None
     c.step, c.largest_overlap = int(same["step"]), float(same["largest_overlap"])

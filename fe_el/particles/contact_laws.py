@@ -62,6 +62,13 @@ def pair_table(name, value, materials):
 class _Law:
     """What both laws share: restitution, friction, rolling friction and cohesion of each pair of materials."""
 
+    def __setattr__(self, name, value):
+        """Refuse changes of a finished law, which its tables would not follow."""
+        if "stiffness" in self.__dict__:
+            raise AttributeError(f"The {name} of a contact law cannot be set any more; make a new law and give it to the "
+                                 "contacts: contacts.law = ...")
+        super().__setattr__(name, value)
+
     def _common(self, restitution, friction, rolling, cohesion, materials):
         e = np.asarray(restitution, float)
         if not ((e > 0).all() and (e <= 1).all()):

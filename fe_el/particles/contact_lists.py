@@ -7,6 +7,7 @@ from fe_el.particles import motion, neighbours, waves
 from fe_el.particles import walls as _walls
 from fe_el.particles.ghosts import Ghosts
 from fe_el.particles.law_kernels import aligned
+from fe_el.particles.wall_patches import smooth_patches
 from fe_el.particles.wall_shapes import FACETS, shape_list
 
 SORT_EVERY = 8  # rebuilds
@@ -34,19 +35,67 @@ class ContactLists:
         self._ahead, self._most, self.wall_room, self.wall_rate = 0.0, np.inf, 0.0, 0.0
         parts = [(_mesh.boundary_facets(particles.mesh, w.facet_tags, w.groups), k) for k, w in enumerate(walls)
                  if w.kind == FACETS]
-        self.facets, self.facet_rows = None, (np.zeros((0, 3, 3)), np.zeros((0, 3), np.uint32), np.zeros(0, np.uint32),
-                                              np.zeros((0, 12)))
+        self.meeting, self.facets = 1, None
+        self.facet_rows = (np.zeros((0, 3, 3)), np.zeros((0, 3), np.uint32), np.zeros(0, np.uint32), np.zeros((0, 12)),
+                           np.zeros((0, 2), np.int64))
         if parts:
             self.facets = tuple(np.concatenate([f[i] for f, _ in parts]) for i in range(3))
             self.balls = _walls.facet_balls(self.facets[0])
             wall = np.concatenate([np.full(len(f[2]), k, np.uint32) for f, k in parts])
-            self.facet_rows = (self.facets[0], self.facets[1].astype(np.uint32), wall, _walls.facet_frames(self.facets[0]))
-        self.kind = np.array([w.kind for w in walls] or [FACETS], np.int64)
-        self.shape = np.array([getattr(w, "shape", np.zeros(4)) for w in walls] or [np.zeros(4)])
-        self.motion = np.array([w.motion() for w in walls] or [np.zeros(9)])
-        self.wall_material = np.array([w.material for w in walls] or [0], np.int64)
+            patch, self.meeting = smooth_patches(*self.facets[:2])
+            self.facet_rows = (self.facets[0], self.facets[1].astype(np.uint32), wall, _walls.facet_frames(self.facets[0]),
+                               patch)
+        self.kind, self.wall_top = np.array([w.kind for w in walls] or [FACETS], np.int64), 0.0
+        self.motion, self.shape, self.wall_material = self._wall_rows()
         self.tile_starts, self.strips, self.tile_layout, self.waves = None, 1, None, waves.NONE
         self.ghosts, self.springs, self.restored, self.has_shapes = None, None, None, bool((self.kind != FACETS).any())
+
+    def _wall_rows(self):
+        """Motion, shape and material of all walls."""
+        return (np.array([w.motion() for w in self.walls] or [np.zeros(9)]),
+                np.array([getattr(w, "shape", np.zeros(4)) for w in self.walls] or [np.zeros(4)]),
+                np.array([w.material for w in self.walls] or [0], np.int64))
+
+    def take_up(self):
+        """Take up walls as the user has set them; whether these, or particles changed since, put the lists out of date."""
+        before, shapes = (self.motion, self.shape), self.kind != FACETS
+        self.motion, self.shape, self.wall_material = self._wall_rows()
+        jumped = (self.motion[:, :3] != before[0][:, :3]).any(1) | (self.shape != before[1]).any(1)
+        faster = (self.motion[:, 3:] != before[0][:, 3:]).any() and self._wall_speed() > self.wall_top
+        return bool((jumped & shapes).any()) or faster or self._particles_changed()
+
+    def _particles_changed(self):
+        p, n = self.particles, len(self.particles)
+        if self.ghosts is None or self.ghosts.owned != n:
+            return False
+        return not (np.array_equal(p.diameter / 2, self.radius[:n]) and np.array_equal(p.position, self.x[:n])
+                    and np.array_equal(np.where(p.held, 0.0, 1 / p.mass), self.inverse_mass[:n])
+                    and np.array_equal(p.material, self.material[:n]))
+
+    def move_walls(self):
+        """Tell planes and cylinders where they are now."""
+        for k, wall in enumerate(self.walls):
+            if wall.kind != FACETS:
+                wall.moved(self.motion[k, :3], self.shape[k])
+
+    def with_walls(self, walls, step, layout):
+        """New lists for other walls, with the springs of all contacts that stay."""
+        new, kept = ContactLists(self.particles, walls, self._skin, self.width), self._collect(step, layout)
+        new.skin, new.rebuilds, new.restored = self.skin, self.rebuilds, [kept[0]]
+        for (particle, partner, spring), old, now in zip(kept[1:], *(x._of_walls() for x in (self, new))):
+            to = np.full(len(old) + 1, -1)
+            for k, wall in enumerate(self.walls):
+                if wall in walls:
+                    to[:-1][old == k] = np.flatnonzero(now == walls.index(wall))
+            stays = to[partner] >= 0
+            new.restored.append((particle[stays], to[partner[stays]], spring[stays]))
+        if self.ghosts is not None:
+            self.ghosts.free()
+        return new
+
+    def _of_walls(self):
+        """Number of the wall of each partner in the lists of facets and of shapes."""
+        return self.facet_rows[2], np.arange(len(self.walls))
 
     def _wall_speed(self):
         """Largest speed of a wall that moves, where the particles of this rank are [m/s]."""
@@ -136,7 +185,7 @@ class ContactLists:
 
     def _choose_wall_room(self, largest, h):
         """How far planes and cylinders may move before the lists are out of date [m], and their speed over that [1/s]."""
-        speed = largest_of(self.particles.comm, self._wall_speed())[0]
+        speed = self.wall_top = largest_of(self.particles.comm, max(self._wall_speed(), self.wall_top))[0]
         self.wall_room = max(0.5 * self.skin, min(AHEAD * h * speed, WIDEST * largest), 3 * h * speed) if speed else 0.0
         self.wall_rate = speed / self.wall_room if speed else 0.0
 

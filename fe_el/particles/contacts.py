@@ -18,6 +18,9 @@ from fe_el.particles.wall_shapes import FacetWalls, move_walls
 class Contacts:
     """Contacts of particles under a contact law, by velocity Verlet sub-steps.
 
+    ``law``, ``wall_law``, the list ``walls``, motion and place of each wall, and diameter, density, material and position of
+    particles may be changed between two steps: the next one takes them up.
+
     Args:
         particles (Particles): the particles.
         law: :class:`LinearSpringDashpot`, :class:`HertzMindlin` or :class:`ArrayLaw` of particle-particle contacts.
@@ -44,27 +47,56 @@ class Contacts:
             raise ValueError(f"steps_per_contact is {steps_per_contact}; at least 10 are needed to resolve a contact.")
         if skin is not None:
             require_positive("skin", skin)
-        self.particles, self.law, self.wall_law = particles, law, wall_law or law
+        self.particles, self.law, self._wall_law = particles, law, wall_law
         self.steps_per_contact = steps_per_contact
         if isinstance(walls, tuple):
             walls = FacetWalls(*walls)
         self.walls = list(np.atleast_1d(np.array(walls, object))) if walls is not None else []
+        self._check_parts()
+        self._sub_steps, self._all_forces = Direct(sub_steps), Direct(all_forces)
+        self.lists = contact_lists.ContactLists(particles, list(self.walls), skin, self._spring_width())
+        self.block, self.ranks = (new_block(), new_block()), ranks_of(particles.comm)
+        self.step, self.layout, self.stale = 1, None, False
+        self.seconds = {"neighbours": 0.0, "contacts": 0.0}
+        self.touching, self.touching_walls, self.largest_overlap, self.steps_last, self.behind = 0, 0, 0.0, 0, None
+
+    @property
+    def wall_law(self):
+        """Law of wall contacts: ``law`` unless another was given."""
+        return self._wall_law or self.law
+
+    @wall_law.setter
+    def wall_law(self, law):
+        self._wall_law = law
+
+    def _spring_width(self):
+        rolls = max(getattr(law, "rolls", 0) for law in (self.law, self.wall_law))
+        return 7 if rolls else 4
+
+    def _check_parts(self):
+        """Whether laws and walls go together."""
         for wall in self.walls:
             if not hasattr(wall, "motion"):
                 raise ValueError(f"{wall!r} is no wall; use FacetWalls, PlaneWall, CylinderWall or (facet_tags, groups).")
         if self.walls and isinstance(self.wall_law, ArrayLaw):
             raise ValueError("An ArrayLaw acts between particles only; give walls a wall_law, for instance HertzMindlin.")
         self._check_materials()
-        self._sub_steps, self._all_forces = Direct(sub_steps), Direct(all_forces)
-        self.lists = contact_lists.ContactLists(particles, self.walls, skin, self._spring_width())
-        self.block, self.ranks = (new_block(), new_block()), ranks_of(particles.comm)
-        self.step, self.layout, self.stale = 1, None, False
-        self.seconds = {"neighbours": 0.0, "contacts": 0.0}
-        self.touching, self.touching_walls, self.largest_overlap, self.steps_last, self.behind = 0, 0, 0.0, 0, None
 
-    def _spring_width(self):
-        rolls = max(getattr(law, "rolls", 0) for law in (self.law, self.wall_law))
-        return 7 if rolls else 4
+    def _take_up(self):
+        """What was changed since the last step: laws, walls, and sizes, masses and places of particles. Collective."""
+        p, lists = self.particles, self.lists
+        self._check_parts()
+        if self._spring_width() > lists.width:
+            raise ValueError("The contact law now has rolling friction, for which the contacts keep no springs; make new "
+                             "Contacts with this law.")
+        if self.walls != lists.walls:
+            self.lists = lists.with_walls(list(self.walls), self.step, self.layout)
+            self.layout, self.stale = p.layout if self.layout is not None else None, True
+        elif largest_of(p.comm, float(self.lists.take_up() and self.layout == p.layout))[0]:
+            self.stale = True
+        for block, law in zip(self.block, (self.law, self.wall_law)):
+            if not isinstance(law, ArrayLaw):
+                constant_rows(block[0], law.numbers)
 
     def _check_materials(self):
         for what, indices, law in (("particle", self.particles.material, self.law), *(
@@ -81,7 +113,10 @@ class Contacts:
         return self.lists.rebuilds
 
     def step_limit(self):
-        """Largest sub-step [s]: the shortest contact time in the run over ``steps_per_contact``."""
+        """Largest sub-step [s]: the shortest contact time in the run over ``steps_per_contact``.
+
+        Where more than three pieces of wall meet in one point their stiffnesses add up.
+        """
         p = self.particles
         count = max(getattr(law, "materials", None) or 1 for law in (self.law, self.wall_law))
         density = p.inertia / p.volume if "added_mass" in p.properties else p.density
@@ -95,8 +130,9 @@ class Contacts:
         there = light > 0
         times = [self._shortest(self.law, light + light[:, None], small + small[:, None], there & there[:, None], speed)]
         if self.walls:
+            together = max(self.lists.meeting / 3, 1.0)  # three at right angles, as in a corner, do not add up
             times.append(self._shortest(self.wall_law, light[:, None] + 0 * light, small[:, None] + 0 * small,
-                                        there[:, None] & (light > -1), speed))
+                                        there[:, None] & (light > -1), speed) / np.sqrt(together))
         return min(times) / self.steps_per_contact
 
     @staticmethod
@@ -113,9 +149,13 @@ class Contacts:
     def advance(self, dt):
         """Advance the particles by ``dt`` [s] in velocity Verlet sub-steps."""
         p, tick, renewing = self.particles, time.perf_counter(), self.seconds["neighbours"]
-        if not p.total_number or p.all_held() and not self.lists.has_moving_shapes():
+        if not p.total_number:
             self.steps_last = 0
-            return  # none have come yet, all have left, or nothing can move
+            return  # none have come yet, or all have left
+        self._take_up()
+        if p.all_held() and not self.lists.has_moving_shapes():
+            self.steps_last = 0
+            return  # nothing can move
         self.steps_last = max(int(np.ceil(dt / self.step_limit() - 1e-9)), 1)
         h, done = dt / self.steps_last, 0
         self.wall_impulse = np.zeros((max(len(self.walls), 1), 3))
@@ -137,6 +177,7 @@ class Contacts:
         p.mean_contact_force = motion.mean_force(p.velocity, start, p.inertia, self._external(), dt)
         for wall, impulse in zip(self.walls, p.comm.allreduce(self.wall_impulse)):
             wall.force = impulse * h / dt
+        self.lists.move_walls()
         self.seconds["contacts"] += time.perf_counter() - tick - (self.seconds["neighbours"] - renewing)
 
     def _external(self):
@@ -156,10 +197,6 @@ class Contacts:
 
     def _rebuild(self, h):
         tick = time.perf_counter()
-        self._check_materials()
-        for block, law in zip(self.block, (self.law, self.wall_law)):
-            if not isinstance(law, ArrayLaw):
-                constant_rows(block[0], law.numbers)
         self.lists.rebuild(h, self.step, self.layout)
         self.layout = self.particles.layout
         self.seconds["neighbours"] += time.perf_counter() - tick

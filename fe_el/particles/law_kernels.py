@@ -12,7 +12,7 @@ facets and primitive walls fill the same rows, so there is one kernel per law. T
     20    k_t / k_n, or G* / E*                              21    tangential over normal damping
     22    reduced radius R*                                  23-25 w1 - w2
     26-28 rolling spring                                     29    rolling friction          30 cohesion energy density
-    34    1/2, or 0 at first touch
+    34    1/2, or 0 at first touch                          35    factor of the force (walls only)
 
 Rows 31-33 pass stiffness and damping between the loops. Velocities are those of the half step before the forces; damping
 sees the normal velocity carried on to the full step, the tangential spring what really was slipped. On return 6-8 hold the
@@ -25,7 +25,7 @@ import numpy as np
 from numba import njit
 
 BLOCK = 264  # no power of two: the rows of one contact would share few sets of the cache
-ROWS = 35
+ROWS = 36
 FAST = {"contract", "reassoc", "nsz", "arcp"}  # no finite-math assumption: NaN must stay visible
 B = BLOCK
 LAG = 0.48  # what a sub-step h adds to the damping, over h^2 k / m*: 0.38 to 0.56 for restitutions from 0.1 to 0.97

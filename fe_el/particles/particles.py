@@ -374,6 +374,7 @@ class Particles:
             Collective.
         """
         require_positive("time step", dt)
+        self._check_arrays()
         self.step += 1
         if contacts is None:
             if self.all_held():
@@ -391,6 +392,22 @@ class Particles:
         if contacts is None:
             self.locate()
             self._put_in_order()
+
+    def _check_arrays(self):
+        """Raise ``ValueError`` on every rank for arrays of the user's that no step can start from. Collective."""
+        message, n = None, len(self)
+        for name, shape in FIELDS.items():
+            a = getattr(self, name)
+            if not isinstance(a, np.ndarray) or a.shape != (n, *shape) or a.dtype != float:
+                message = (f"The array {name} of the particles is {type(a).__name__} of shape {np.shape(a)}; it must be a numpy "
+                           f"array of float of shape {(n, *shape)}, one row per particle of this rank. To set all alike: "
+                           f"particles.{name}[:] = ...")
+            elif name in ("diameter", "density", "position") and not np.isfinite(a).all() or \
+                    name in ("diameter", "density") and n and not a.min() > 0:
+                good = np.isfinite(a).reshape(n, -1).all(1) & (a > 0 if a.ndim == 1 else True)
+                message = (f"The {name} of particle {self.id[~good][0]} is {a[~good][0].tolist()}; it must be finite"
+                           f"{' and greater than zero' if a.ndim == 1 else ''}.")
+        raise_everywhere(self.comm, ValueError, message)
 
     def momentum(self):
         """Total momentum of all particles (3,) [kg m/s]."""

@@ -10,13 +10,13 @@ B = BLOCK
 
 
 @njit(cache=True, fastmath=FAST, inline="always")
-def add_contact(block, m, i, k, wall, dx, dy, dz, radius):
+def add_contact(block, m, i, k, wall, dx, dy, dz, radius, share):
     """Contact m of a block: particle i, entry k of the list; (dx, dy, dz) points from the wall's nearest point to the
-    centre."""
+    centre; ``share`` multiplies its force."""
     b, at, who, wall_of = block
     at[m], who[m], wall_of[m] = k, i, wall
     b[m], b[m + B], b[m + 2 * B] = dx, dy, dz
-    b[m + 3 * B], b[m + 4 * B] = dx * dx + dy * dy + dz * dz, radius
+    b[m + 3 * B], b[m + 4 * B], b[m + 35 * B] = dx * dx + dy * dy + dz * dz, radius, share
 
 
 @njit(cache=True, fastmath=FAST)
@@ -58,6 +58,16 @@ def _subtract_motion(b, m, who, wall_of, x, motion):
 
 
 @njit(cache=True, fastmath=FAST)
+def _scale(b, m):
+    """Multiply forces and torques by the shares of their contacts."""
+    for n in range(m):
+        share = b[n + 35 * B]
+        if share != 1.0:
+            for row in (6, 7, 8, 9, 10, 11, 23, 24, 25):
+                b[n + row * B] *= share
+
+
+@njit(cache=True, fastmath=FAST)
 def finish_block(block, m, x, state, force, material, spring, stamp, step, motion, wall_material, wall_force, deepest,
                  numbers, h):
     """Apply the law to a block of m wall contacts and give particles and walls their forces."""
@@ -79,6 +89,7 @@ def finish_block(block, m, x, state, force, material, spring, stamp, step, motio
     if numbers.rolls > 0:
         _gather_rolling(b, full, who, at, wall_of, state, spring, motion)
     apply_law(b, full, h, numbers)
+    _scale(b, m)
     for n in range(0, full, 4):
         block_to_rows(b, n + 13 * B, spring, spring.shape[1], (at[n], at[n + 1], at[n + 2], at[n + 3]))
     for n in range(m):

@@ -18,18 +18,31 @@ def _vector(name, value):
     return v
 
 
+def _direction(name, value, wanted):
+    v = _vector(name, value)
+    length = np.linalg.norm(v)
+    if not length > 0:
+        raise ValueError(f"The {name} of a wall is zero; give {wanted}.")
+    return v if abs(length - 1) < 1e-12 else v / length  # one that is of length 1 already stays to the last digit
+
+
 class _Wall:
-    """A wall with a material and a rigid motion: ``velocity`` [m/s] and ``angular_velocity`` [1/s] about ``point`` [m]."""
+    """A wall with a material and a rigid motion: ``velocity`` [m/s] and ``angular_velocity`` [1/s] about ``point`` [m].
+
+    What is set anew between two steps counts from the next step on; ``point`` and direction of planes and cylinders move.
+    """
 
     def __init__(self, point, material, velocity, angular_velocity):
-        if int(material) < 0:
-            raise ValueError(f"The wall's material is {material}; give the index of a material, 0 or more.")
-        self.material, self.point = int(material), _vector("point", point)
-        self.velocity, self.angular_velocity = _vector("velocity", velocity), _vector("angular velocity", angular_velocity)
+        self.material, self.point, self.velocity, self.angular_velocity = material, point, velocity, angular_velocity
         self.force = np.zeros(3)  #: mean force of the particles on the wall over the last advance [N]
+        self.motion()
 
     def motion(self):
-        """Origin, velocity and rotation in one row."""
+        """Origin, velocity and rotation in one row, after checking them and the material."""
+        if isinstance(self.material, bool) or self.material != int(self.material) or self.material < 0:
+            raise ValueError(f"The wall's material is {self.material}; give the index of a material, 0 or more.")
+        self.point, self.velocity = _vector("point", self.point), _vector("velocity", self.velocity)
+        self.angular_velocity = _vector("angular velocity", self.angular_velocity)
         return np.concatenate([self.point, self.velocity, self.angular_velocity])
 
 
@@ -63,10 +76,17 @@ class PlaneWall(_Wall):
 
     def __init__(self, point, normal, material=0, velocity=(0, 0, 0), angular_velocity=(0, 0, 0)):
         super().__init__(point, material, velocity, angular_velocity)
-        n = _vector("normal", normal)
-        if not np.linalg.norm(n) > 0:
-            raise ValueError("The normal of a plane wall is zero; give the direction from the wall to the particles.")
-        self.shape = np.concatenate([n / np.linalg.norm(n), [0.0]])
+        self.normal = normal
+        self.normal = self.shape[:3]
+
+    @property
+    def shape(self):
+        """The unit normal, and a zero."""
+        return np.array([*_direction("normal", self.normal, "the direction from the wall to the particles"), 0.0])
+
+    def moved(self, point, shape):
+        """Take up where the wall is now."""
+        self.point, self.normal = point.copy(), shape[:3].copy()
 
 
 class CylinderWall(_Wall):
@@ -80,11 +100,18 @@ class CylinderWall(_Wall):
 
     def __init__(self, point, axis, radius, outside=False, material=0, velocity=(0, 0, 0), angular_velocity=(0, 0, 0)):
         super().__init__(point, material, velocity, angular_velocity)
-        a = _vector("axis", axis)
-        require_positive("cylinder radius", radius)
-        if not np.linalg.norm(a) > 0:
-            raise ValueError("The axis of a cylinder wall is zero; give its direction.")
-        self.shape = np.concatenate([a / np.linalg.norm(a), [-radius if outside else radius]])
+        self.axis, self.radius, self.outside = axis, radius, bool(outside)
+        self.axis = self.shape[:3]
+
+    @property
+    def shape(self):
+        """The unit axis, and the radius, negative if particles are outside."""
+        require_positive("cylinder radius", self.radius)
+        return np.array([*_direction("axis", self.axis, "its direction"), -self.radius if self.outside else self.radius])
+
+    def moved(self, point, shape):
+        """Take up where the wall is now."""
+        self.point, self.axis = point.copy(), shape[:3].copy()
 
 
 @njit(cache=True, fastmath=FAST, inline="always")
@@ -124,7 +151,7 @@ def shape_forces(x, state, force, radius, inverse_mass, material, particle, wall
         if distance < radius[i]:
             if not distance > 0:
                 bad = -1 - np.int64(i)
-            add_contact(block, m, i, k, n, x[i, 0] - px, x[i, 1] - py, x[i, 2] - pz, radius[i])
+            add_contact(block, m, i, k, n, x[i, 0] - px, x[i, 1] - py, x[i, 2] - pz, radius[i], 1.0)
             m += 1
         if m == BLOCK or k == total - 1:
             finish_block(block, m, x, state, force, material, spring, stamp, step, motion, wall_material, wall_force,

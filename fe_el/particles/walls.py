@@ -2,7 +2,8 @@
 
 A sphere touches the wall where its distance to the *surface* has a local minimum: a point on an edge or a vertex counts
 only if it is the nearest point of every facet that meets there, and counts once. So no seam between facets is ever felt,
-and concave and convex edges are right without special cases.
+and concave and convex edges are right without special cases. Contacts with one smooth piece of wall are joined, see
+:mod:`fe_el.particles.wall_patches`.
 """
 
 import numpy as np
@@ -11,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from fe_el.particles.law_kernels import BLOCK, FAST
 from fe_el.particles.wall_blocks import add_contact, finish_block
+from fe_el.particles.wall_patches import holds_feature, join_contacts, patch_scratch
 
 B = BLOCK
 
@@ -158,19 +160,20 @@ def wall_gaps(x, radius, room, particle, facet, corner):
 def scratch(particle):
     """Memory for the facets near one particle: vectors, weights, entries of the list, and whether each is a contact."""
     most = int(np.bincount(particle).max(initial=1))
-    return np.empty((most, 3)), np.empty((most, 3)), np.empty(most, np.uint64), np.empty(most, np.bool_)
+    return (np.empty((most, 3)), np.empty((most, 3)), np.empty(most, np.uint64), np.empty(most, np.bool_),
+            *patch_scratch(most))
 
 
 @njit(cache=True, fastmath=FAST)
 def facet_forces(x, state, force, radius, inverse_mass, material, listed, particle, facet, spring, stamp, step, corner,
                  vertex,
-                 facet_wall, frame, scratch, motion, wall_material, wall_force, deepest, block, numbers, h):
+                 facet_wall, frame, patch, scratch, motion, wall_material, wall_force, deepest, block, numbers, h):
     """Add the contact forces of the ``listed`` pairs with wall facets.
 
     Returns the number of contacts, or -1 - i where the centre of i is on a wall.
     """
     touching, sides, m, entry, total, bad = 0, corner.shape[1], 0, 0, len(listed), 0
-    arm, weight, slot, contact = scratch
+    arm, weight, slot, contact, work, order = scratch
     rest = x, state, force, material, spring, stamp, step, motion, wall_material, wall_force, deepest, numbers, h
     while entry < total:
         i, near = particle[listed[entry]], np.uint64(0)
@@ -186,32 +189,41 @@ def facet_forces(x, state, force, radius, inverse_mass, material, listed, partic
                 slot[near] = k
                 near += np.uint64(1)
             entry += 1
-        contact[0] = True
+        contact[0], joined = True, False
         if near > 1:
+            for n in range(near):
+                joined |= patch[facet[slot[n]], 1] > 0
             _contacts_of(near, slot, facet, vertex, weight, arm, 1e-6 * r, sides, contact)
-            _hand_over(near, slot, contact, spring, stamp, step)
+            if joined:
+                join_contacts(near, slot, facet, vertex, corner, frame, patch, x[i], r, arm, weight, contact,
+                              numbers.kind == 1, work, order)
+            _hand_over(near, slot, arm, contact, spring, stamp, step)
         for n in range(near):
             if contact[n]:
                 if m == B:
                     finish_block(block, m, *rest)
                     touching, m = touching + m, 0
-                add_contact(block, m, i, slot[n], facet_wall[facet[slot[n]]], arm[n, 0], arm[n, 1], arm[n, 2], r)
+                add_contact(block, m, i, slot[n], facet_wall[facet[slot[n]]], arm[n, 0], arm[n, 1], arm[n, 2], r,
+                            work[n, 12] if joined else 1.0)
                 m += 1
     finish_block(block, m, *rest)
     return bad if bad < 0 else touching + m
 
 
 @njit(cache=True)
-def _hand_over(near, slot, contact, spring, stamp, step):
-    """Give the springs of facets that are no longer the contact to the facet the contact has rolled onto."""
+def _hand_over(near, slot, arm, contact, spring, stamp, step):
+    """Give the springs of facets that are no longer the contact to the facet the contact has rolled onto, the nearest."""
     for n in range(near):
         if contact[n] or stamp[slot[n]] != step - 1:
             continue
+        to, least = n, np.inf
         for o in range(near):
-            if contact[o] and stamp[slot[o]] != step - 1:
-                spring[slot[o]] = spring[slot[n]]
-                stamp[slot[o]] = step - 1
-                break
+            far = (arm[o, 0] - arm[n, 0]) ** 2 + (arm[o, 1] - arm[n, 1]) ** 2 + (arm[o, 2] - arm[n, 2]) ** 2
+            if contact[o] and stamp[slot[o]] != step - 1 and far < least:
+                to, least = o, far
+        if to != n:
+            spring[slot[to]] = spring[slot[n]]
+            stamp[slot[to]] = step - 1
 
 
 @njit(cache=True)
@@ -226,19 +238,4 @@ def _contacts_of(near, slot, facet, vertex, weight, arm, tolerance, sides, conta
             if d2 < tolerance * tolerance:
                 contact[m] &= o > m
             elif contact[m]:
-                contact[m] = not _holds_feature(facet[slot[o]], facet[slot[m]], vertex, weight[m], sides)
-
-
-@njit(cache=True)
-def _holds_feature(other, own, vertex, weight, sides):
-    """Whether facet ``other`` contains the edge or vertex of facet ``own`` that carries the weights; false for a face."""
-    positive = 0
-    for a in range(sides):
-        if weight[a] > 1e-12:
-            positive += 1
-            found = False
-            for b in range(sides):
-                found |= vertex[other, b] == vertex[own, a]
-            if not found:
-                return False
-    return positive < sides
+                contact[m] = not holds_feature(facet[slot[o]], facet[slot[m]], vertex, weight[m], sides)
