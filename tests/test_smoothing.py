@@ -4,7 +4,7 @@ import pytest
 
 import fe_el
 from fe_el.coupling import mapping
-from fe_el.coupling.fields import ViscousStressMean
+from fe_el.coupling.fluid_at_particles import ViscousStressMean
 from fe_el.coupling.smoothing import FixedValues
 
 

@@ -399,9 +399,9 @@ class Particles:
         for name, shape in FIELDS.items():
             a = getattr(self, name)
             if not isinstance(a, np.ndarray) or a.shape != (n, *shape) or a.dtype != float:
-                message = (f"The array {name} of the particles is {type(a).__name__} of shape {np.shape(a)}; it must be a numpy "
-                           f"array of float of shape {(n, *shape)}, one row per particle of this rank. To set all alike: "
-                           f"particles.{name}[:] = ...")
+                message = (f"The array {name} of the particles is {type(a).__name__} of shape {np.shape(a)}; it must be a "
+                           f"numpy array of float of shape {(n, *shape)}, one row per particle of this rank. To set all "
+                           f"alike: particles.{name}[:] = ...")
             elif name in ("diameter", "density", "position") and not np.isfinite(a).all() or \
                     name in ("diameter", "density") and n and not a.min() > 0:
                 good = np.isfinite(a).reshape(n, -1).all(1) & (a > 0 if a.ndim == 1 else True)
