@@ -4,9 +4,9 @@ Fluid: VolumeAveragedNavierStokes, SubCycled, Scalar, Probe, TimeAverage, ramp, 
     eddy viscosities Smagorinsky, Vreman, Wale; wall law Spalding; stabilisations Streamline, Upwind
 Particles: Particles, Inlet, LostParticle, Contacts; laws LinearSpringDashpot, HertzMindlin, RollingFriction, ArrayLaw;
     walls FacetWalls, PlaneWall, CylinderWall
-Coupling: Coupling; forces Drag, PressureGradient, ViscousStress, Buoyancy, AddedMass, SaffmanLift, MagnusLift, Torque
-    and own ones; drag_laws; HelmholtzSmoothing, PatchAverage; OverlapVolume, SatellitePoints, ParticleCentred, HatKernel,
-    WellMixed; time_scales
+Coupling: Coupling; forces Drag, PressureGradient, ViscousStress, Buoyancy, AddedMass, SaffmanLift, MagnusLift, Torque,
+    UndisturbedVelocity and own ones; drag_laws; HelmholtzSmoothing, PatchAverage; OverlapVolume, SatellitePoints,
+    ParticleCentred, HatKernel, WellMixed; time_scales
 Meshes: read_mesh, mesh_geo, box, periodic_box
 Running: time_steps, adaptive_steps, ParaViewOutput, stage_seconds, write_summary, save_checkpoint, load_checkpoint
 
@@ -33,6 +33,7 @@ _HOME = {
     "PressureGradient": "coupling.forces", "ViscousStress": "coupling.forces", "Buoyancy": "coupling.forces",
     "SaffmanLift": "coupling.lift_and_torque", "MagnusLift": "coupling.lift_and_torque",
     "Torque": "coupling.lift_and_torque", "AddedMass": "coupling.added_mass",
+    "UndisturbedVelocity": "coupling.undisturbed",
     "HelmholtzSmoothing": "coupling.smoothing", "PatchAverage": "coupling.smoothing", "SatellitePoints": "coupling.mapping",
     "ParticleCentred": "coupling.mapping", "HatKernel": "coupling.mapping", "WellMixed": "coupling.mapping",
     "OverlapVolume": "coupling.overlap",

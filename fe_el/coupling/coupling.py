@@ -16,6 +16,7 @@ from fe_el.coupling.maps import Maps
 from fe_el.coupling.over_filled import Spill
 from fe_el.coupling.schemes import Exchange, scheme_of
 from fe_el.coupling.smoothing import FixedValues
+from fe_el.coupling.undisturbed import OwnVelocity, UndisturbedVelocity
 from fe_el.dolfinx_api import scalar_space, vector_space
 from fe_el.exchange import largest_of, raise_everywhere, sums_of
 from fe_el.fluid.work_arrays import WorkArrays
@@ -38,7 +39,7 @@ class Coupling(Maps):
         pressure: its pressure, of the middle of the step, a Function or UFL expression [Pa].
         fluid_density, fluid_viscosity (float): [kg/m^3], [Pa s].
         forces: list of :class:`Drag`, :class:`PressureGradient`, :class:`ViscousStress`, :class:`Buoyancy`,
-            :class:`AddedMass` (there by itself if particles are less than 1.4 times as dense as the fluid), and of own ones:
+            :class:`UndisturbedVelocity`, :class:`AddedMass` (there by itself if particles are less than 1.4 times as dense as the fluid), and of own ones:
             objects that say what they need of the fluid and give a force (see :mod:`fe_el.coupling.fluid_at_particles`).
         scheme (str): ``conservative``, ``explicit``, ``implicit``, ``implicit_from_force``, ``split`` or
             ``void_cells_explicit``.
@@ -85,7 +86,7 @@ class Coupling(Maps):
             raise ValueError(f"fluid_velocity is {fluid_velocity!r}; use 'cell' or 'linear'.")
         if positions not in (None, "start", "middle"):
             raise ValueError(f"positions is {positions!r}; use 'start' or 'middle', or leave it out.")
-        built_in = Drag, PressureGradient, Buoyancy, AddedMass
+        built_in = Drag, PressureGradient, Buoyancy, AddedMass, UndisturbedVelocity
         others = [f for f in forces if not isinstance(f, built_in)]
         for force in others:
             check_force(force)
@@ -94,7 +95,7 @@ class Coupling(Maps):
         self.dimension, self.answers = mesh.topology.dim, None  # whether the fluid changed in the last step
         self.ahead = {"start": 0.0, "middle": 0.5, None: None if mean_velocity is None else 0.5}[positions]
         d = self.dimension
-        self.drag, self.pressure_force, self.buoyancy, law = (
+        self.drag, self.pressure_force, self.buoyancy, law, undisturbed = (
             next((f for f in forces if isinstance(f, kind)), None) for kind in built_in)
         self.others = {method: [f for f in others if hasattr(f, method)] for method in METHODS}
         self.others = {method: found for method, found in self.others.items() if found}
@@ -102,6 +103,7 @@ class Coupling(Maps):
         self.drags, self.reacts = self.drag is not None or self.added is not None or "drag_coefficient" in self.others, bool(
             {"force", "spin"} & set(self.others))
         self.mapping, self.smoothing, self.scheme = _mapping.mapping_of(mapping), smoothing, scheme_of(scheme)
+        self.own = None if undisturbed is None else self._own_velocity()
         self.linear = _mapping.LinearInterpolation() if fluid_velocity == "linear" else None
         scalar, vector = scalar_space(mesh, "DG", 0), vector_space(mesh, "DG", 0)
         self.fields = (fem.Function(scalar, name="void_fraction"), fem.Function(scalar, name="drag_coefficient"),
@@ -143,6 +145,18 @@ class Coupling(Maps):
             message = "Added mass and several steps of the fluid in one (mean_velocity) do not go together."
         raise_everywhere(self.comm, ValueError, message)
         return AddedMassExchange(law, self.pressure_force is not None)
+
+    def _own_velocity(self):
+        """What takes a particle's own part off the fluid velocity that drag sees.
+
+        Raises:
+            ValueError: where that part is not known.
+        """
+        if self.dimension != 3:
+            raise ValueError("The undisturbed velocity is known in three dimensions only.")
+        if not hasattr(self.mapping, "concentration"):
+            raise ValueError(f"The undisturbed velocity needs a mapping that lists its shares, not {self.mapping!r}.")
+        return OwnVelocity(self.density, self.viscosity, self.smoothing)
 
     def _too_light(self):
         """Whether the pressure force on a particle that is here, or of the density of those to come, is unstable without
@@ -265,9 +279,19 @@ class Coupling(Maps):
             self.linear.gather(back, linear)
             offset = linear - mean[:, 1:]
             mean[:, 1:] = linear
+        if self.own is not None:
+            own = self.own.now(p, d)
+            mean[:, 1:] -= own
         solid, slip = self._work.empty("solid", len(p)), self._work.empty("slip", len(p))
         loops.fluid_at_particles(mean, velocity, solid, slip)
+        if self.own is not None:
+            volume = p.cells.volume
+            solid = self.own.around(p, self.mapping.concentration(volume), self._gather(volume[:, None]), solid, slip)
         beta = self._coefficient(solid, slip)
+        if self.own is not None:
+            ahead = self.own.ahead(dt, p, beta)
+            mean[:, 1:] += own - ahead
+            offset = -ahead if offset is None else offset - ahead
         inertia, acceleration = self._accelerations()
         self.exchange = Exchange(dt, self.volume, inertia, velocity, acceleration, beta[:, None], mean[:, 1:], offset,
                                  self._to_cells, lambda q: self._deposit(q)[:n], cell_velocity,
@@ -356,6 +380,8 @@ class Coupling(Maps):
         p, drag, gradient, reaction = self.particles, self._none, self._none, self.explicit_reaction
         if self.drags:
             drag = self.scheme.force(fluid_velocity)
+            if self.own is not None:
+                self.own.update(p, drag)
         p.relaxation_rate[:] = self.scheme.relaxation_rate if self.drags else 0.0
         if self.pressure_force is not None:
             gradient = p.properties.setdefault("_pressure_gradient", np.empty((len(p), self.dimension)))
@@ -364,7 +390,10 @@ class Coupling(Maps):
     def _forces_with_added_mass(self, fluid_velocity, slope):
         """The same with added mass; the fluid has received what contacts did to it in the last step, too."""
         p, reaction, d = self.particles, self.explicit_reaction, self.dimension
-        given = self.added.force(p, fluid_velocity, slope) - self.late
+        given = self.added.force(p, fluid_velocity, slope)
+        if self.own is not None:
+            self.own.update(p, given + self.volume * slope if slope.shape[1] else given)
+        given = given - self.late
         p.relaxation_rate[:] = self.added.relaxation_rate
         p.force[p.held, :d] += self.volume[p.held] * self._steady
         if len(reaction):

@@ -66,6 +66,16 @@ def _gather(start, cell, weight, order, field, out):
             out[i, k] = a
 
 
+@njit(cache=True, fastmath=FAST)
+def _concentration(start, cell, weight, order, volume, out):
+    ordered = len(order) > 0
+    for row in range(len(start) - 1):
+        total = 0.0
+        for n in range(start[row], start[row + 1]):
+            total += weight[n] * weight[n] / volume[cell[n]]
+        out[order[row] if ordered else row] = total
+
+
 class ListedShares:
     """Deposits and gathers by listed shares, in arrays that are made anew only to grow.
 
@@ -100,3 +110,9 @@ class ListedShares:
     def gather(self, field, out):
         """out[i] = sum_j w_ij field_j for (cells, k) fields."""
         _gather(self.start, self.cell, self.weight, self.order, field, out)
+
+    def concentration(self, volume):
+        """(particles,) sum_j w_ij^2 / volume_j: one over the volume that a particle's force acts in [1/m^3]."""
+        out = np.empty(len(self.start) - 1)
+        _concentration(self.start, self.cell, self.weight, self.order, volume, out)
+        return out

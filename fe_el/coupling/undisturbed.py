@@ -1,0 +1,117 @@
+"""The fluid velocity that would be there without the particle, which is what drag laws want.
+
+Two-way coupling gives the reaction of a particle's drag to the cells that it lies in, and their mean velocity is then no
+longer that of the fluid far from it (Horwitz & Mani, J. Comput. Phys. 318 (2016) 85; Balachandar, Liu & Lakhote, J. Comput.
+Phys. 376 (2019) 160; Evrard, Denner & van Wachem, J. Comput. Phys. X 8 (2020) 100078). As the exchange is linear, what the
+particle feels of itself is known from the shares w of the cells: a force F in them first moves the fluid at the rate
+
+    F / (rho V_e),    1 / V_e = sum w^2 / V_cell,
+
+and in steady viscous flow, spread evenly in a sphere of the volume V_e, it moves the mean velocity of that by
+
+    M F = F / (6 pi mu R),    R = 5/12 d_e = V_e^(1/3) / 1.934,
+
+which is the steady Stokes answer, as Evrard has it, for the kernel that the shares are. The mesh blurs it like a longer
+kernel by 0.45 V_cell^(1/3), and Helmholtz smoothing over l (twice: to the cells and back) by 2 l: R is the root of the sum
+of squares. In between the velocity w relaxes at 1 / (M rho V_e); fluid that slips past, at s = phi |u - v|, carries it
+away, and the drag of other particles, which share the cells, damps it:
+
+    dw/dt = F / (rho phi V_e) - [1 / (M rho V_e) + 0.75 phi s / V_e^(1/3) + beta s_others / (rho phi)] w.
+
+Drag laws get the slip u - w - v, and the solid fraction without what the particle itself makes in its cells. Where many
+share the cells all that fades with the particle's share of their solids, as laws for beds are made for mean velocities.
+
+Measured: 0.45 from forces in one and many cells (within 8 % at d/h 0.1 to 3); 0.75 phi from spheres at Re 146.
+"""
+import math
+
+import numpy as np
+from numba import njit
+
+FLUSHING = 0.75
+STEADY = 12 / 5 * (math.pi / 6) ** (1 / 3)
+GRAIN = 0.45
+
+
+class UndisturbedVelocity:
+    """Takes from the fluid velocity that drag sees what the particle itself has done to it; for :class:`Coupling` in its
+    list of forces, with mappings that list their shares and no smoothing but :class:`HelmholtzSmoothing`.
+
+    It matters where particles are not small against cells, and fades in beds; see :mod:`fe_el.coupling.undisturbed`. Three
+    dimensions only: in two there is no steady answer to a force. Beside walls it takes off too much.
+    """
+
+
+@njit(cache=True, error_model="numpy")
+def _leave_out(volume, concentration, solid, slip, share, around):
+    """Fill a particle's share (n,) of the solids in its cells, and the solid fraction around it; slip for slip in that."""
+    for i in range(len(solid)):
+        concentration[i] = min(concentration[i], solid[i] / volume[i])  # over-filled cells hand on the force, too
+        share[i] = volume[i] * concentration[i] / max(solid[i], 1e-300)
+        around[i] = solid[i] * (1 - share[i] * share[i])
+        slip[i] *= (1 - solid[i]) / (1 - around[i])
+
+
+@njit(cache=True, error_model="numpy")
+def _predict(dt, density, viscosity, length, share, solid, around, beta, concentration, cell, slip, force, own, kept,
+             answer, ahead):
+    """Fill the part (n,) of its own velocity that a particle keeps over the step, the answer (n,) to a steady force
+    [m/(N s)], and the own velocity (n, d) at the end of the step if the force is that of the last one."""
+    for i in range(len(kept)):
+        wide = 1 / concentration[i] + 8 * math.pi * length ** 3
+        size = wide ** (1 / 3)
+        radius = math.sqrt(concentration[i] ** (-2 / 3) / STEADY ** 2 + 4 * length * length
+                           + (GRAIN * cell[i, 0] ** (1 / 3)) ** 2)
+        void = 1 - solid[i]
+        rate = 6 * math.pi * viscosity * radius / (density * wide) + FLUSHING * void * slip[i] / size \
+            + beta[i] * solid[i] * (1 - share[i]) / (density * void)
+        kept[i] = math.exp(-rate * dt)
+        answer[i] = share[i] * (1 - kept[i]) / (density * wide * void * rate)
+        for k in range(own.shape[1]):
+            ahead[i, k] = kept[i] * own[i, k] + answer[i] * force[i, k]
+        beta[i] *= void / (1 - around[i])
+
+
+class OwnVelocity:
+    """What each particle has done to the fluid around it; it travels with the particles, in their ``properties``.
+
+    The velocity that it takes off is that which the force of the last step would make: the fluid's own answer to the force
+    of this step is implicit and larger, so the lag between both is stable at any step.
+    """
+
+    def __init__(self, density, viscosity, smoothing):
+        length = 0.0 if smoothing is None else getattr(smoothing, "length", None)
+        if length is None:
+            raise ValueError(f"The undisturbed velocity is not known with {smoothing!r}; use HelmholtzSmoothing or none.")
+        self.density, self.viscosity, self.length = density, viscosity, length
+
+    def now(self, particles, dimension):
+        """(particles, d) as of the end of the last step [m/s]."""
+        p = particles
+        for name in ("_own_velocity", "_own_force"):
+            if name not in p.properties:
+                p.properties[name] = np.zeros((len(p), dimension))
+        return p.properties["_own_velocity"]
+
+    def around(self, particles, concentration, cell_volume, solid, slip):
+        """Solid fractions (particles,) without what the particle itself makes, all of it in a crowd; and ``slip`` in place:
+        that at which the flux through both is the same."""
+        p = particles
+        self.share, self.rest = np.empty(len(p)), np.empty(len(p))
+        self.concentration, self.cell_volume, self.solid, self.slip = concentration, cell_volume, solid, slip
+        _leave_out(p.volume / p.coarse_graining ** 3, concentration, solid, slip, self.share, self.rest)
+        return self.rest
+
+    def ahead(self, dt, particles, beta):
+        """(particles, d) as it will be at the end of the step if the force is that of the last; see :func:`_predict`."""
+        p, own = particles, particles.properties["_own_velocity"]
+        self.kept, self.answer, ahead = np.empty(len(p)), np.empty(len(p)), np.empty_like(own)
+        _predict(dt, self.density, self.viscosity, self.length, self.share, self.solid, self.rest, beta, self.concentration,
+                 self.cell_volume, self.slip, p.properties["_own_force"], own, self.kept, self.answer, ahead)
+        return ahead
+
+    def update(self, particles, drag):
+        """Go on by the force (particles, d) that the fluid gave in the step [N]."""
+        p = particles
+        p.properties["_own_force"] = -drag
+        p.properties["_own_velocity"] = self.kept[:, None] * p.properties["_own_velocity"] - self.answer[:, None] * drag
