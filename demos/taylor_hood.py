@@ -56,7 +56,7 @@ class TaylorHood:
         """Velocities of the walls, and one pressure, which a closed domain leaves open."""
         velocity, _ = space.sub(0).collapse()
         pressure, in_mixed = space.sub(1).collapse()
-        pinned = [np.array([in_mixed[0]], np.int32), np.array([0], np.int32)]
+        pinned = [np.ravel(in_mixed)[:1].astype(np.int32), np.zeros(1, np.int32)]
         conditions = [fem.dirichletbc(fem.Function(pressure), pinned, space.sub(1))]
         for facets, value in walls:
             prescribed = fem.Function(velocity)

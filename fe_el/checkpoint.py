@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from fe_el.checkpoint_parts import PARTS, nearest
+from fe_el.dolfinx_api import import_h5py
 from fe_el.exchange import raise_everywhere
 
 
@@ -48,7 +49,7 @@ def save_checkpoint(path, *parts, **numbers):
 
 
 def _write(path, groups, numbers):
-    import h5py  # where a checkpoint is written, nowhere else
+    h5py = import_h5py()  # where a checkpoint is written, nowhere else
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(path.name + ".part")
     with h5py.File(part, "w") as file:
@@ -98,7 +99,7 @@ def load_checkpoint(path, *parts):
 
 
 def _read(path):
-    import h5py
+    h5py = import_h5py()
     data = {}
 
     def visit(name, item):

@@ -3,7 +3,10 @@
 All that differs between them is in this file: no other file asks for a version. mpi4py is imported first, because the wheels
 of dolfinx find their MPI through it.
 """
+import importlib
 import itertools
+import os
+import sys
 
 import numpy as np
 
@@ -182,3 +185,18 @@ def linear_problem(a, L, bcs, solution, options):
 def petsc_vector(function):
     """The PETSc vector that shares the memory of a Function."""
     return function.vector if OLD else function.x.petsc_vec
+
+
+# -- HDF5 --------------------------------------------------------------------------------------------------------------
+def import_h5py():
+    """The module h5py, which finds its own HDF5 first.
+
+    ``dolfinx.fem.petsc`` of the wheels opens PETSc for all libraries that are loaded later (for users of numba), and with it
+    another HDF5, with which h5py cannot be imported.
+    """
+    flags = sys.getdlopenflags()
+    sys.setdlopenflags(flags | getattr(os, "RTLD_DEEPBIND", 0))
+    try:
+        return importlib.import_module("h5py")
+    finally:
+        sys.setdlopenflags(flags)
