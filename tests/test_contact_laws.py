@@ -52,16 +52,26 @@ def test_hertz_with_rolling_friction_and_tables():
     assert (v - p.velocity[0, 0]) / 0.1 == pytest.approx(5 / 7 * 0.05 * 9.81, rel=0.05)
 
 
-@pytest.mark.parametrize("factor", [0.0, 0.5, 0.9])
-def test_cohesion_pulls_against_the_spring(factor):
-    """Pressed to a ceiling a sphere rests where spring less attraction, (k - c pi 2R*) overlap, carries it."""
+@pytest.mark.parametrize("factor", [0.0, 0.5, 0.9, 1.1, 3.0])
+def test_surface_energy_holds_a_bead_below_a_ceiling(factor):
+    """It hangs if 2 pi R* W is more than its weight, where the spring takes the difference, and falls if not."""
     mesh, _ = fe_el.box((0.1, 0.1, 0.1), (1, 1, 1))
     k = 1000.0
-    p = fe_el.Particles(mesh, RHO, (0, 0, 20.0))
+    p = fe_el.Particles(mesh, RHO, (0, 0, -9.81))
     p.insert_at([[0.05, 0.05, 0.05]], D)
-    law = fe_el.LinearSpringDashpot(k, 0.1, 0.3, cohesion=factor * k / (np.pi * D))
-    p.advance(0.2, fe_el.Contacts(p, law, fe_el.PlaneWall((0, 0, 0.05 + D / 2), (0, 0, -1))))
-    assert (p.position[0, 2] - 0.05) * k * (1 - factor) == pytest.approx(p.mass[0] * 20.0, rel=1e-6)
+    weight, pull = p.mass[0] * 9.81, factor * p.mass[0] * 9.81
+    law = fe_el.LinearSpringDashpot(k, 0.1, 0.3, surface_energy=pull / (np.pi * D))
+    p.advance(0.05, fe_el.Contacts(p, law, fe_el.PlaneWall((0, 0, 0.05 + D / 2 - 1e-7), (0, 0, -1))))
+    if factor > 1:
+        assert (p.position[0, 2] - 0.05 + 1e-7) * k == pytest.approx(pull - weight, rel=1e-6)
+    else:
+        assert p.position[0, 2] < 0.045
+
+
+def test_cohesion_by_area_is_refused_where_it_cannot_hold():
+    with pytest.raises(ValueError, match="surface_energy"):
+        fe_el.LinearSpringDashpot(1000.0, 0.3, 0.5, cohesion=1e5)
+    fe_el.HertzMindlin(1e7, 0.3, 0.3, 0.5, cohesion=1e5)
 
 
 def test_materials_rebound_by_their_own_pair():

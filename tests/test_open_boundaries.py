@@ -161,3 +161,23 @@ def test_a_scene_may_start_empty():
         inlet.advance(1e-4)
         beads.advance(1e-4, contacts)
     assert beads.total_number >= 1
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_specks_that_leave_beside_the_rim_of_an_outlet_have_left(dimension):
+    """Each crosses the outlet first and is below the level of the floor at the end of the step."""
+    mesh, tags = fe_el.box((0.05,) * dimension, (4,) * dimension)
+    dust, random, dt = fe_el.Particles(mesh, RHO), np.random.default_rng(0), 2e-3
+    dust.remove_at(tags, 2)
+    x = np.column_stack([0.05 - random.uniform(0, 1e-3, 4000), random.uniform(0.001, 0.049, 4000),
+                         random.uniform(0, 1e-3, 4000)])
+    v = np.column_stack([np.ones(4000), np.zeros(4000), -random.uniform(0, 1, 4000)])
+    rim = (x[:, 2] + v[:, 2] * (0.05 - x[:, 0]) > 0) & (x[:, 2] + v[:, 2] * dt < 0)
+    x, v = (np.delete(a[rim], 1, 1) if dimension == 2 else a[rim] for a in (x, v))
+    dust.insert_at(x, 1e-5, velocity=v)
+    dust.advance(dt)
+    assert dust.left == rim.sum() > 100 and not len(dust)
+    below = [(0.0499, 1e-4) if dimension == 2 else (0.0499, 0.02, 1e-4)]
+    dust.insert_at(below, 1e-5, velocity=[(0.1, -1.0) if dimension == 2 else (0.1, 0, -1.0)])  # through the floor
+    with pytest.raises(fe_el.LostParticle):
+        dust.advance(1.05e-4)

@@ -69,12 +69,12 @@ class _Law:
                                  "contacts: contacts.law = ...")
         super().__setattr__(name, value)
 
-    def _common(self, restitution, friction, rolling, cohesion, materials):
+    def _common(self, restitution, friction, rolling, attraction, materials):
         e = np.asarray(restitution, float)
         if not ((e > 0).all() and (e <= 1).all()):
             raise ValueError(f"The restitution is {e.tolist()}; it must be greater than 0 and at most 1.")
         require_not_negative("friction", friction)
-        require_not_negative("cohesion energy density", cohesion)
+        require_not_negative(*attraction)
         self.materials = materials
         self.table = np.zeros((materials, materials, 8))
         log = np.abs(np.log(pair_table("restitution", e, materials)))
@@ -84,7 +84,7 @@ class _Law:
         if rolling is not None:
             self.table[:, :, 5] = pair_table("rolling friction", rolling.coefficient, materials)
             self.rolls = (2 if rolling.elastic_plastic else 1) + (2 if rolling.torsion else 0)
-        self.table[:, :, 6] = pair_table("cohesion energy density", cohesion, materials)
+        self.table[:, :, 6] = pair_table(*attraction, materials)
 
     @functools.cached_property
     def numbers(self):
@@ -118,7 +118,8 @@ class LinearSpringDashpot(_Law):
         tangential_stiffness_ratio: k_t / k_n, in (0, 1].
         tangential_damping_ratio: eta_t / eta_n, in [0, 1].
         rolling (RollingFriction): absent: none.
-        cohesion: energy density c of an attraction c pi overlap 2 R* [J/m^3].
+        surface_energy: W of an attraction 2 pi R* W while surfaces touch (Derjaguin, Mueller & Toporov 1975) [J/m^2].
+        cohesion: refused, see :class:`HertzMindlin`.
 
     Raises:
         ValueError: for a number out of its range or a table of the wrong shape.
@@ -127,15 +128,18 @@ class LinearSpringDashpot(_Law):
     kind = 0
 
     def __init__(self, stiffness, restitution, friction, tangential_stiffness_ratio=2 / 7, tangential_damping_ratio=0.5,
-                 rolling=None, cohesion=0.0):
+                 rolling=None, surface_energy=0.0, cohesion=0.0):
         require_positive("stiffness", stiffness)
+        if np.any(cohesion):
+            raise ValueError(f"The linear law has cohesion {cohesion} J/m^3; an attraction by the contact area only takes from "
+                             "a linear stiffness and nothing sticks. Give surface_energy= [J/m^2], or use HertzMindlin.")
         kt, et = np.asarray(tangential_stiffness_ratio, float), np.asarray(tangential_damping_ratio, float)
         if not ((kt > 0).all() and (kt <= 1).all()):
             raise ValueError(f"The tangential stiffness ratio is {kt.tolist()}; it must be in (0, 1].")
         if not ((et >= 0).all() and (et <= 1).all()):
             raise ValueError(f"The tangential damping ratio is {et.tolist()}; it must be in [0, 1].")
-        n = materials_of(stiffness, restitution, friction, kt, et, rolling_coefficient(rolling), cohesion)
-        self._common(restitution, friction, rolling, cohesion, n)
+        n = materials_of(stiffness, restitution, friction, kt, et, rolling_coefficient(rolling), surface_energy)
+        self._common(restitution, friction, rolling, ("surface energy", surface_energy), n)
         self.table[:, :, 0] = pair_table("stiffness", stiffness, n)
         self.table[:, :, 1] = self.damping
         self.table[:, :, 3] = pair_table("tangential stiffness ratio", kt, n)
@@ -159,7 +163,8 @@ class HertzMindlin(_Law):
     Args:
         youngs_modulus: E of each material, a number or (materials,) [Pa].
         poisson_ratio: a number or (materials,), in (-1, 0.5].
-        restitution, friction, rolling, cohesion: as in :class:`LinearSpringDashpot`.
+        restitution, friction, rolling: as in :class:`LinearSpringDashpot`.
+        cohesion: energy density c of an attraction c pi overlap 2 R* [J/m^3].
 
     Raises:
         ValueError: for a number out of its range or a table of the wrong shape.
@@ -179,7 +184,7 @@ class HertzMindlin(_Law):
             raise ValueError(f"Young's modulus and Poisson ratio are given for another number of materials than {n}; give "
                              f"one "
                              f"number each or {n}.") from None
-        self._common(restitution, friction, rolling, cohesion, n)
+        self._common(restitution, friction, rolling, ("cohesion energy density", cohesion), n)
         soft, shear = (1 - nu ** 2) / e, 2 * (2 - nu) * (1 + nu) / e
         self.table[:, :, 0] = 1 / (soft[:, None] + soft)
         self.table[:, :, 1] = np.sqrt(5 / 6) * self.damping

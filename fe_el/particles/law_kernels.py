@@ -11,7 +11,8 @@ facets and primitive walls fill the same rows, so there is one kernel per law. T
     18    damping number                                     19    friction
     20    k_t / k_n, or G* / E*                              21    tangential over normal damping
     22    reduced radius R*                                  23-25 w1 - w2
-    26-28 rolling spring                                     29    rolling friction          30 cohesion energy density
+    26-28 rolling spring                                     29    rolling friction          30 cohesion energy density, or
+                                                                   surface energy (linear law)
     34    1/2, or 0 at first touch                          35    factor of the force (walls only)
 
 Rows 31-33 pass stiffness and damping between the loops. Velocities are those of the half step before the forces; damping
@@ -148,6 +149,17 @@ def cohesion(b, m):
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
+def adhesion(b, m):
+    """Attraction of touching surfaces, F = -2 pi R* W (Derjaguin, Mueller & Toporov 1975); W in J/m^2. Adds to the normal
+    force."""
+    for n in range(m):
+        pull = b[n + 30 * B] * 2.0 * math.pi * b[n + 22 * B]
+        b[n + 6 * B] -= pull * b[n]
+        b[n + 7 * B] -= pull * b[n + B]
+        b[n + 8 * B] -= pull * b[n + 2 * B]
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def rolling(b, m, h, elastic, torsion):
     """Rolling friction of at most mu_r R* F_n against the relative rotation w1 - w2; with torsion 1 also about the normal,
     else 0.
@@ -190,7 +202,9 @@ def apply_law(b, m, h, numbers):
     else:
         hertz(b, m, h)
     tangential(b, m, h)
-    if numbers.cohesive:
+    if numbers.cohesive and numbers.kind == 0:
+        adhesion(b, m)
+    elif numbers.cohesive:
         cohesion(b, m)
     if numbers.rolls > 0:
         rolling(b, m, h, numbers.rolls % 2 == 0, 1.0 if numbers.rolls > 2 else 0.0)

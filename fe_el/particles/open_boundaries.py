@@ -1,11 +1,12 @@
 """Boundaries that particles may leave through, and boundaries that let particles in at a mass rate."""
 import numpy as np
 from mpi4py import MPI
+from numba import njit
 from scipy.spatial import cKDTree
 
 from fe_el import mesh as _mesh
 from fe_el.checks import require_positive
-from fe_el.particles.walls import facet_balls, nearest_point
+from fe_el.particles.walls import facet_balls, facet_frames, nearest_point
 
 
 class OpenBoundaries:
@@ -19,17 +20,42 @@ class OpenBoundaries:
         groups = _mesh.require_groups(mesh, facet_tags, groups)
         self.corner, is_open = _mesh.exterior_facets(mesh, facet_tags, groups)
         self.open = is_open
-        self.tree = cKDTree(self.corner.mean(1))
+        self.tree, self.frames = cKDTree(self.corner.mean(1)), facet_frames(self.corner)
 
-    def left_through(self, position):
-        """(points,) whether the nearest boundary facet of each position outside the mesh is open."""
+    def left_through(self, position, velocity):
+        """(points,) whether each position outside the mesh was reached through an open facet.
+
+        That is so if the nearest facet of the boundary is open, or the first one on the way back along the velocity.
+        """
         near = self.tree.query(position, k=min(24, len(self.corner)))[1].reshape(len(position), -1)
         out = np.zeros(len(position), bool)
         for i, facets in enumerate(near):
             distance = [np.sum((np.array(nearest_point(self.corner[f],
                                                        *position[i])[:3]) - position[i]) ** 2) for f in facets]
             out[i] = self.open[facets[int(np.argmin(distance))]]
+        for i in np.flatnonzero(~out):
+            back = _first_crossed(self.frames, position[i], -velocity[i])
+            out[i] = back >= 0 and self.open[back]
         return out
+
+
+@njit(cache=True)
+def _first_crossed(frame, x, direction):
+    """First facet that a ray crosses, or -1; of several at an edge the first in the list."""
+    first, least = -1, np.inf
+    for f in range(len(frame)):
+        along = frame[f, 9] * direction[0] + frame[f, 10] * direction[1] + frame[f, 11] * direction[2]
+        if along == 0.0:
+            continue
+        px, py, pz = x[0] - frame[f, 0], x[1] - frame[f, 1], x[2] - frame[f, 2]
+        t = -(frame[f, 9] * px + frame[f, 10] * py + frame[f, 11] * pz) / along
+        if 0 <= t < least:
+            px, py, pz = px + t * direction[0], py + t * direction[1], pz + t * direction[2]
+            v = frame[f, 3] * px + frame[f, 4] * py + frame[f, 5] * pz
+            w = frame[f, 6] * px + frame[f, 7] * py + frame[f, 8] * pz
+            if min(v, w, 1 - v - w) >= -1e-9:
+                first, least = f, t
+    return first
 
 
 class Inlet:

@@ -237,7 +237,7 @@ class Particles:
             self.cell[lost] = where
         bad = lost[where < 0]
         if self._open is not None and len(bad):
-            out = self._open.left_through(self.position[bad])
+            out = self._open.left_through(self.position[bad], self.velocity[bad])
             self._gone, bad = bad[out], bad[~out]
         gone = self.comm.allreduce(np.array([len(self._gone), self.mass[self._gone].sum()]))
         self.left, self.left_mass = self.left + int(gone[0]), self.left_mass + gone[1]
