@@ -1,5 +1,8 @@
 """Checkpoints: the state of a run in one HDF5 file, to go on from on any number of ranks."""
+import hashlib
+import io
 import os
+import time
 from pathlib import Path
 
 import numpy as np
@@ -8,22 +11,28 @@ from fe_el.checkpoint_parts import PARTS, nearest
 from fe_el.dolfinx_api import import_h5py
 from fe_el.exchange import raise_everywhere
 
+VERSION = 2
+HEADER = 512  # bytes before what HDF5 reads
+STRAY = 600  # [s] after which the part of a file that a killed run left is removed
+
 
 def save_checkpoint(path, *parts, **numbers):
-    """Write the state of particles, contacts, fluid, scalars and inlets to an HDF5 file.
+    """Write the state of particles, contacts, fluid, scalars, inlets and observers to an HDF5 file.
 
-    The file is complete or not there: it gets its name when it is written. A run that goes on from it gives what the run
+    The file is complete or not there: it gets its name when it is written, and begins with a checksum. A run that goes on from it gives what the run
     without a break gives, up to the solvers' tolerance, on any number of ranks.
 
     Args:
         path: file to write; an older one is replaced.
-        parts: :class:`Particles`, :class:`Contacts`, :class:`VolumeAveragedNavierStokes`, :class:`Scalar`, :class:`Inlet`;
-            particles before their contacts.
-        numbers: what else to keep, for instance ``time=``.
+        parts: :class:`Particles`, :class:`Contacts`, :class:`VolumeAveragedNavierStokes`, :class:`Scalar`, :class:`Inlet`,
+            :class:`TimeAverage`, :class:`Probe`, :class:`SubCycled`, steps of :func:`adaptive_steps`, and objects of a user's
+            class that has ``saved()`` and ``restore(state)`` (see :mod:`fe_el.checkpoint_parts`); particles before their
+            contacts, the first one with a mesh.
+        numbers: what else to keep, for instance ``time=``; numbers, texts and arrays.
 
     Raises:
         TypeError: for a part that has no state to keep.
-        OSError: if the file cannot be written.
+        OSError: if the file cannot be written; an older one stays as it was.
 
     Note:
         Collective.
@@ -43,22 +52,42 @@ def save_checkpoint(path, *parts, **numbers):
     if comm.rank == 0:
         try:
             _write(Path(path), groups, numbers)
-        except OSError as error:
+        except (OSError, TypeError, ValueError) as error:  # HDF5 takes neither dictionaries nor objects
             message = f"The checkpoint {path} cannot be written: {error}."
     raise_everywhere(comm, OSError, message)
 
 
 def _write(path, groups, numbers):
     h5py = import_h5py()  # where a checkpoint is written, nowhere else
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    with h5py.File(part, "w") as file:
+    memory = io.BytesIO()  # HDF5 does not survive a disk that is full
+    with h5py.File(memory, "w", userblock_size=HEADER) as file:
         for name, arrays in groups.items():
             for key, a in arrays.items():
                 file[f"{name}/{key}"] = a
         for key, a in numbers.items():
             file[f"numbers/{key}"] = a
-    os.replace(part, path)
+    content = memory.getbuffer()[HEADER:]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(path.name + ".part")
+    for stray in path.parent.glob(f"*{path.suffix}.part"):
+        if stray != part and time.time() - stray.stat().st_mtime > STRAY:
+            stray.unlink(missing_ok=True)
+    try:
+        with open(part, "wb") as file:
+            file.write(_header(content))
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(part, path)
+    except OSError:
+        part.unlink(missing_ok=True)
+        raise
+
+
+def _header(content):
+    """What a checkpoint begins with: its version and the checksum of the rest."""
+    text = f"fe_el checkpoint, version {VERSION}\nSHA-256 {hashlib.sha256(content).hexdigest()}\n"
+    return text.encode().ljust(HEADER, b"\0")
 
 
 def load_checkpoint(path, *parts):
@@ -73,18 +102,20 @@ def load_checkpoint(path, *parts):
 
     Raises:
         FileNotFoundError: if there is no such file.
-        ValueError: for other parts than were saved, or another mesh.
+        ValueError: for a file that is damaged or of another version, other parts than were saved, or another mesh; the
+            parts are then as they were.
 
     Note:
         Collective.
     """
     comm, data, message = _comm(parts), None, None
     if comm.rank == 0:
-        if Path(path).is_file():
-            data = _read(path)
-        else:
-            message = f"There is no checkpoint {path}."
-    raise_everywhere(comm, FileNotFoundError, message)
+        try:
+            data, message = _read(Path(path))
+        except OSError as error:
+            message = f"The checkpoint {path} cannot be read: {error}."
+    missing = comm.bcast(comm.rank == 0 and not Path(path).is_file())
+    raise_everywhere(comm, FileNotFoundError if missing else ValueError, message)
     data = comm.bcast(data)
     names = [f"{k}_{type(part).__name__}" for k, part in enumerate(parts)]
     saved = sorted({name for name in data if name != "numbers"}, key=lambda name: int(name.split("_")[0]))
@@ -92,13 +123,27 @@ def load_checkpoint(path, *parts):
         raise ValueError(f"The checkpoint {path} holds {[s.split('_')[1] for s in saved]}; load it into these parts in this "
                          f"order, "
                          f"not {[n.split('_')[1] for n in names]}.")
-    for name, part in zip(names, parts):
-        state = {block: _placed(comm, part, block, rows) for block, rows in data[name].items()}
+    states = [{block: _placed(comm, part, block, rows) for block, rows in data[name].items()}
+              for name, part in zip(names, parts)]
+    for part, state in zip(parts, states):
         _functions(part)[1](part, state)
     return data.get("numbers", {})
 
 
 def _read(path):
+    """What a file holds, or ``None`` and what is wrong with it."""
+    if not path.is_file():
+        return None, f"There is no checkpoint {path}."
+    content = path.read_bytes()
+    if content[:HEADER] != _header(memoryview(content)[HEADER:]):
+        if content.startswith(b"fe_el checkpoint, version ") and not content.startswith(_header(b"")[:27]):
+            return None, f"The checkpoint {path} is of another version than {VERSION}; read it with the fe_el that wrote it."
+        return None, (f"The file {path} is damaged, or no checkpoint of this version: its checksum is not that of its content. "
+                      "Go on from an older one.")
+    return _groups(content), None
+
+
+def _groups(content):
     h5py = import_h5py()
     data = {}
 
@@ -110,7 +155,7 @@ def _read(path):
                 place = place.setdefault(group, {})
             value = item[()]
             place[key] = value.decode() if isinstance(value, bytes) else value
-    with h5py.File(path, "r") as file:
+    with h5py.File(io.BytesIO(content), "r") as file:
         file.visititems(visit)
     return data
 
@@ -131,6 +176,8 @@ def _placed(comm, part, block, rows):
 
 
 def _functions(part):
+    if hasattr(part, "saved") and hasattr(part, "restore"):
+        return type(part).saved, type(part).restore
     for kind in type(part).__mro__:
         if kind.__name__ in PARTS:
             return PARTS[kind.__name__]
@@ -142,6 +189,6 @@ def _comm(parts):
     if not parts:
         raise TypeError(f"Give a checkpoint the parts to keep: {', '.join(PARTS)}.")
     part = parts[0]
-    for name in ("particles", "fluid"):
+    for name in ("particles", "fluid", "mesh"):
         part = getattr(part, name, part) if not hasattr(part, "comm") else part
     return part.comm

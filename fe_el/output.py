@@ -32,14 +32,18 @@ def time_steps(dt, end_time, start=0.0, comm=MPI.COMM_WORLD, progress=True):
             bar.update()
 
 
-def adaptive_steps(fluid, end_time, courant=0.5, first=None, largest=np.inf, growth=1.2, progress=True):
+class adaptive_steps:  # noqa: N801  called like time_steps
     """Yield (time, dt) up to end_time with steps that keep the fluid's Courant number |u| dt / h at ``courant``.
 
-    Call ``fluid.advance(dt)`` in the loop. A step never grows by more than ``growth``; it shrinks at once.
+    Call ``fluid.advance(dt)`` in the loop. A step never grows by more than ``growth``; it shrinks at once. A checkpoint that
+    holds these steps goes on with the last one.
 
     Args:
         first (float): first step [s]; absent: by the Courant number of the initial velocity.
         largest (float): bound of the steps, for instance from :mod:`fe_el.time_scales` [s].
+
+    Attributes:
+        dt (float): the last step [s]; ``None`` before the first.
 
     Raises:
         ValueError: for numbers that are not positive, a growth below one, or if neither ``first`` nor ``largest`` is given
@@ -49,28 +53,51 @@ def adaptive_steps(fluid, end_time, courant=0.5, first=None, largest=np.inf, gro
     Note:
         Collective.
     """
-    for name, value in (("courant", courant), ("largest", largest), ("end_time", end_time), ("first", first or 1.0)):
-        if not value > 0:
-            raise ValueError(f"{name} is {value}; it must be greater than zero.")
-    if not growth >= 1:
-        raise ValueError(f"growth is {growth}; it must be at least 1.")
-    time, dt = fluid.time, first
-    with tqdm(total=end_time - time, disable=not progress or fluid.comm.rank > 0, unit="s", file=sys.stderr,
-              mininterval=1.0) as bar:
-        while time < end_time * (1 - 1e-12):
-            rate = fluid.courant(1.0)
-            wanted = min(courant / rate if rate > 0 else np.inf, largest)
-            if time > fluid.time or fluid.step:
-                dt = min(wanted, np.inf if dt is None else growth * dt)
-            else:
-                dt = min(wanted, dt or np.inf)
-            if not np.isfinite(dt):
-                raise ValueError("The fluid is at rest, so its Courant number gives no step; pass first= or largest= [s].")
-            left = end_time - time
-            dt = left if dt > 0.999999 * left else min(dt, 0.5 * left) if dt > 0.5 * left else dt
-            time += dt
-            yield time, dt
-            bar.update(dt)
+
+    def __init__(self, fluid, end_time, courant=0.5, first=None, largest=np.inf, growth=1.2, progress=True):
+        for name, value in (("courant", courant), ("largest", largest), ("end_time", end_time), ("first", first or 1.0)):
+            if not value > 0:
+                raise ValueError(f"{name} is {value}; it must be greater than zero.")
+        if not growth >= 1:
+            raise ValueError(f"growth is {growth}; it must be at least 1.")
+        self.fluid, self.end_time, self.courant, self.first = fluid, end_time, courant, first
+        self.largest, self.growth, self.progress, self.dt = largest, growth, progress, None
+        self._steps = None
+
+    def __iter__(self):
+        return self
+
+    def __next__(self):
+        self._steps = self._steps or self._all()
+        return next(self._steps)
+
+    def _all(self):
+        time = self.fluid.time
+        with tqdm(total=self.end_time - time, disable=not self.progress or self.fluid.comm.rank > 0, unit="s",
+                  file=sys.stderr, mininterval=1.0) as bar:
+            while time < self.end_time * (1 - 1e-12):
+                self.dt = self._step(self.end_time - time)
+                time += self.dt
+                yield time, self.dt
+                bar.update(self.dt)
+
+    def _step(self, left):
+        """The next step, with ``left`` [s] to go."""
+        rate = self.fluid.courant(1.0)
+        wanted = min(self.courant / rate if rate > 0 else np.inf, self.largest)
+        last, grows = self.dt or self.first or np.inf, self.growth if self.dt is not None or self.fluid.step else 1.0
+        dt = min(wanted, grows * last)
+        if not np.isfinite(dt):
+            raise ValueError("The fluid is at rest, so its Courant number gives no step; pass first= or largest= [s].")
+        return left if dt > 0.999999 * left else min(dt, 0.5 * left) if dt > 0.5 * left else dt
+
+    def saved(self):
+        """The last step, for a checkpoint."""
+        return {"same": (None, {"dt": np.nan if self.dt is None else self.dt})}
+
+    def restore(self, state):
+        """Take it back."""
+        self.dt = None if np.isnan(state["same"]["dt"]) else float(state["same"]["dt"])
 
 
 def stage_seconds(*parts):

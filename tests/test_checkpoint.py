@@ -1,5 +1,9 @@
 """Checkpoints: a run that goes on from a file is the run without a break, on any number of ranks."""
+import os
 import re
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -147,3 +151,145 @@ def test_output_of_a_restarted_run_goes_on_with_the_series(folder):
     files = re.findall('file="([^"]+)"', text)
     assert times == [0, 1, 2, 3, 4, 5, 6] and len(set(files)) == len(files) == 7 * mesh.comm.size
     assert all((Path(folder) / f).is_file() for f in files)
+
+
+def small_run(path):
+    """A file with a handful of beads in a fluid."""
+    mesh, tags = fe_el.box((0.01, 0.01, 0.01), (2, 2, 2))
+    beads, air = fe_el.Particles(mesh, 2500.0), fe_el.VolumeAveragedNavierStokes(mesh, tags)
+    beads.insert_in_box((0.001,) * 3, (0.009,) * 3, 50, 1e-4, velocity=(0.1, 0.2, 0.3))
+    fe_el.save_checkpoint(path, beads, air, time=0.5)
+    return beads, air
+
+
+def test_damaged_files_are_refused_and_change_nothing(tmp_path):
+    """One flipped bit anywhere, in the header too, a file cut short, one that is no checkpoint: a sentence, parts as they
+    were."""
+    path, bad = str(tmp_path / "a.h5"), tmp_path / "b.h5"
+    beads, air = small_run(path)
+    good, random = Path(path).read_bytes(), np.random.default_rng(0)
+    before = beads.position.copy()
+    places = [*random.integers(0, 8 * len(good), 60), *random.integers(0, 8 * 110, 20)]
+    copies = [good[:b // 8] + bytes([good[b // 8] ^ 1 << int(b % 8)]) + good[b // 8 + 1:] for b in places]
+    for content in (*copies, good[:-1], good[:700], good + b"x", b"", b"no checkpoint", good[512:]):
+        bad.write_bytes(content)
+        with pytest.raises(ValueError, match="damaged|another version"):
+            fe_el.load_checkpoint(bad, beads, air)
+    bad.write_bytes(good.replace(b"version 2", b"version 9", 1))
+    with pytest.raises(ValueError, match="another version than 2"):
+        fe_el.load_checkpoint(bad, beads, air)
+    assert np.array_equal(beads.position, before)
+    assert fe_el.load_checkpoint(path, beads, air) == {"time": 0.5} and np.array_equal(beads.position, before)
+
+
+@pytest.mark.ranks
+def test_what_cannot_be_read_or_written_is_one_sentence_on_all_ranks(folder):
+    small_run(folder + "/a.h5")
+    mesh, tags = fe_el.box((0.01, 0.01, 0.01), (2, 2, 2))
+    beads, air = fe_el.Particles(mesh, 2500.0), fe_el.VolumeAveragedNavierStokes(mesh, tags)
+    if MPI.COMM_WORLD.rank == 0:
+        content = bytearray(Path(folder + "/a.h5").read_bytes())
+        content[5000] ^= 16
+        Path(folder + "/b.h5").write_bytes(content)
+    MPI.COMM_WORLD.barrier()
+    with pytest.raises(ValueError, match="damaged"):
+        fe_el.load_checkpoint(folder + "/b.h5", beads, air)
+    with pytest.raises(FileNotFoundError, match="no checkpoint"):
+        fe_el.load_checkpoint(folder, beads, air)
+    with pytest.raises(OSError, match="cannot be written"):
+        fe_el.save_checkpoint(folder + "/c.h5", beads, note={"a": 1})
+    assert not len(beads)
+
+
+def test_a_full_disk_leaves_the_older_file_and_no_part(tmp_path):
+    """Here a limit of the file size in a process of its own: an OSError with the promised sentence."""
+    script = f"""
+import resource, signal, fe_el
+from tests.test_checkpoint import small_run
+beads, air = small_run({str(tmp_path / 'a.h5')!r})
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))
+try:
+    fe_el.save_checkpoint({str(tmp_path / 'a.h5')!r}, beads, air, time=1.0)
+except OSError as error:
+    print("said:", error)
+"""
+    run = subprocess.run([sys.executable, "-W", "ignore", "-c", script], capture_output=True, text=True, timeout=120)
+    assert run.returncode == 0 and re.search("said: The checkpoint .* cannot be written: .*large", run.stdout)
+    assert [f.name for f in tmp_path.iterdir()] == ["a.h5"]
+    mesh, tags = fe_el.box((0.01, 0.01, 0.01), (2, 2, 2))
+    beads = fe_el.Particles(mesh, 2500.0)
+    assert fe_el.load_checkpoint(tmp_path / "a.h5", beads, fe_el.VolumeAveragedNavierStokes(mesh, tags)) == {"time": 0.5}
+
+
+def test_the_part_of_a_killed_run_is_removed(tmp_path):
+    for name, age in (("old.h5.part", 3600), ("new.h5.part", 0), ("other.part", 3600)):
+        (tmp_path / name).write_bytes(b"x")
+        os.utime(tmp_path / name, (time.time() - age,) * 2)
+    small_run(tmp_path / "a.h5")
+    assert sorted(f.name for f in tmp_path.iterdir()) == ["a.h5", "new.h5.part", "other.part"]
+
+
+class Watched:
+    """A flow with everything that watches it and chooses its steps."""
+
+    def __init__(self):
+        mesh, _ = fe_el.periodic_box((2 * np.pi, 2 * np.pi), (8, 8))
+        self.air = fe_el.VolumeAveragedNavierStokes(mesh, None, 1.0, 0.1, tolerance=1e-13)
+        self.cycled = fe_el.SubCycled(self.air, 2)
+        self.void_fraction = fe_el.Coupling(fe_el.Particles(mesh, 1000.0), self.air.velocity, self.air.pressure, 1.0, 0.1,
+                                            [fe_el.PressureGradient()]).fields
+        self.means = [fe_el.TimeAverage(f) for f in (self.air.velocity, self.air.pressure, self.cycled.mean_pressure)]
+        self.probe = fe_el.Probe([self.air.velocity, self.air.pressure], [(1.0, 2.0), (3.0, 0.5)])
+        self.steps = fe_el.adaptive_steps(self.air, 2.0, courant=0.4, first=0.01, growth=1.1, progress=False)
+        self.parts = (self.air, self.cycled, *self.means, self.probe, self.steps)
+
+    def go(self, number):
+        for _ in range(number):
+            time, dt = next(self.steps)
+            self.cycled.advance(dt, self.void_fraction)
+            for mean in self.means:
+                mean.add(dt)
+            self.probe.record(time)
+
+
+@pytest.mark.ranks
+def test_observers_sub_cycling_and_adaptive_steps_go_on(folder):
+    """Averages, variances, probes and steps of a restarted run are those of the run without a break."""
+    whole = Watched()
+    whole.air.set_initial_velocity(lambda t, x: np.column_stack([np.sin(x[:, 0]) * np.cos(x[:, 1]),
+                                                                 -np.cos(x[:, 0]) * np.sin(x[:, 1])]))
+    whole.go(6)
+    fe_el.save_checkpoint(folder + "/a.h5", *whole.parts)
+    again = Watched()
+    fe_el.load_checkpoint(folder + "/a.h5", *again.parts)
+    assert again.cycled.mean_velocity.x.array == pytest.approx(whole.cycled.mean_velocity.x.array, abs=1e-15)
+    whole.go(6)
+    again.go(6)
+    assert again.steps.dt == pytest.approx(whole.steps.dt, rel=1e-10) and again.air.step == whole.air.step
+    assert len(again.probe.rows) == 12 and again.probe.rows[0][0] == whole.probe.rows[0][0]
+    for one, other in zip(whole.probe.rows, again.probe.rows):
+        assert all(np.allclose(a, b, rtol=1e-9, atol=1e-10) for a, b in zip(one, other))
+    for one, other in zip(whole.means, again.means):
+        assert other.duration == pytest.approx(one.duration) and other.mean == pytest.approx(one.mean, abs=1e-10)
+        assert other.variance == pytest.approx(one.variance, abs=1e-10) and one.variance.max() > 1e-8
+
+
+@pytest.mark.ranks
+def test_a_users_class_keeps_itself(folder):
+    class Counter:
+        count = 0
+
+        def saved(self):
+            return {"same": (None, {"count": self.count})}
+
+        def restore(self, state):
+            self.count = int(state["same"]["count"])
+
+    mesh, _ = fe_el.box((1.0, 1.0), (4, 4))
+    beads, one, other = fe_el.Particles(mesh, 1000.0), Counter(), Counter()
+    beads.insert_at([[0.9, 0.9]], 1e-3)
+    one.count = 7
+    fe_el.save_checkpoint(folder + "/a.h5", beads, one)
+    fe_el.load_checkpoint(folder + "/a.h5", beads, other)
+    assert other.count == 7

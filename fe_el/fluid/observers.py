@@ -59,6 +59,22 @@ class Probe:
             out.append(self.comm.allreduce(here))
         return out
 
+    @property
+    def mesh(self):
+        """The mesh of the functions."""
+        return self.functions[0].function_space.mesh
+
+    def saved(self):
+        """What was recorded, for a checkpoint."""
+        rows = {f"values_{k}": np.array([row[1 + k] for row in self.rows]) for k in range(len(self.functions))}
+        return {"same": (None, {"time": np.array([row[0] for row in self.rows], float), **rows})}
+
+    def restore(self, state):
+        """Take it back."""
+        same = state["same"]
+        self.rows = [(float(t), *(same[f"values_{k}"][n] for k in range(len(self.functions))))
+                     for n, t in enumerate(same["time"])]
+
     def record(self, time):
         """Keep the values at ``time``."""
         self.rows.append((time, *self.values()))
@@ -89,3 +105,26 @@ class TimeAverage:
     def variance(self):
         """Variance over the time so far."""
         return self._sum / max(self.duration, 1e-300)
+
+    @property
+    def mesh(self):
+        """The mesh of the function."""
+        return self.function.function_space.mesh
+
+    def saved(self):
+        """Mean and sum of squares at the places of the owned values, for a checkpoint."""
+        space = self.function.function_space
+        own, size = space.dofmap.index_map.size_local, space.dofmap.index_map_bs
+        rows = {name: a.reshape(-1, size)[:own] for name, a in (("mean", self.mean), ("sum", self._sum))}
+        return {"values": (space.tabulate_dof_coordinates()[:own], rows), "same": (None, {"duration": self.duration})}
+
+    def restore(self, state):
+        """Take them back."""
+        vector = self.function.x
+        present, own = vector.array.copy(), state["values"]["mean"].size
+        for array, name in ((self.mean, "mean"), (self._sum, "sum")):
+            vector.array[:own] = state["values"][name].ravel()
+            vector.scatter_forward()  # to the values of other ranks
+            array[:] = vector.array
+        vector.array[:] = present
+        self.duration = float(state["same"]["duration"])

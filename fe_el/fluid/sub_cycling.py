@@ -66,3 +66,20 @@ class SubCycled:
             pressure += air.pressure.x.array
         self.mean_velocity.x.array[:], self.mean_pressure.x.array[:] = velocity / count, pressure / count
         self.steps_last = count
+
+    def saved(self):
+        """The means over the last step, for a checkpoint."""
+        air, d = self.fluid, self.fluid.dimension
+        velocity, pressure = self.mean_velocity.x.array.reshape(-1, d), self.mean_pressure.x.array
+        return {"cells": (air.corner.mean(1), {"velocity": velocity[:air.num_cells]}),
+                "nodes": (air.node_position[:air.owned_nodes], {"pressure": pressure[:air.owned_nodes]}),
+                "same": (None, {"steps_last": self.steps_last})}
+
+    def restore(self, state):
+        """Take them back."""
+        air, d = self.fluid, self.fluid.dimension
+        self.mean_velocity.x.array.reshape(-1, d)[:air.num_cells] = state["cells"]["velocity"]
+        self.mean_pressure.x.array[:air.owned_nodes] = state["nodes"]["pressure"]
+        for function in (self.mean_velocity, self.mean_pressure):
+            function.x.scatter_forward()
+        self.steps_last = int(state["same"]["steps_last"])

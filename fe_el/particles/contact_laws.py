@@ -131,8 +131,8 @@ class LinearSpringDashpot(_Law):
                  rolling=None, surface_energy=0.0, cohesion=0.0):
         require_positive("stiffness", stiffness)
         if np.any(cohesion):
-            raise ValueError(f"The linear law has cohesion {cohesion} J/m^3; an attraction by the contact area only takes from "
-                             "a linear stiffness and nothing sticks. Give surface_energy= [J/m^2], or use HertzMindlin.")
+            raise ValueError(f"The linear law has cohesion {cohesion} J/m^3; an attraction by the contact area only takes "
+                             "from a linear stiffness and nothing sticks. Give surface_energy= [J/m^2], or use HertzMindlin.")
         kt, et = np.asarray(tangential_stiffness_ratio, float), np.asarray(tangential_damping_ratio, float)
         if not ((kt > 0).all() and (kt <= 1).all()):
             raise ValueError(f"The tangential stiffness ratio is {kt.tolist()}; it must be in (0, 1].")
