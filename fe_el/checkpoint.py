@@ -19,15 +19,15 @@ STRAY = 600  # [s] after which the part of a file that a killed run left is remo
 def save_checkpoint(path, *parts, **numbers):
     """Write the state of particles, contacts, fluid, scalars, inlets and observers to an HDF5 file.
 
-    The file is complete or not there: it gets its name when it is written, and begins with a checksum. A run that goes on from it gives what the run
-    without a break gives, up to the solvers' tolerance, on any number of ranks.
+    The file is complete or not there: it gets its name when it is written, and begins with a checksum. A run that goes on
+    from it gives what the run without a break gives, up to the solvers' tolerance, on any number of ranks.
 
     Args:
         path: file to write; an older one is replaced.
         parts: :class:`Particles`, :class:`Contacts`, :class:`VolumeAveragedNavierStokes`, :class:`Scalar`, :class:`Inlet`,
-            :class:`TimeAverage`, :class:`Probe`, :class:`SubCycled`, steps of :func:`adaptive_steps`, and objects of a user's
-            class that has ``saved()`` and ``restore(state)`` (see :mod:`fe_el.checkpoint_parts`); particles before their
-            contacts, the first one with a mesh.
+            :class:`TimeAverage`, :class:`Probe`, :class:`SubCycled`, steps of :func:`adaptive_steps`, and objects of a
+            user's class that has ``saved()`` and ``restore(state)`` (see :mod:`fe_el.checkpoint_parts`); particles before
+            their contacts, the first one with a mesh.
         numbers: what else to keep, for instance ``time=``; numbers, texts and arrays.
 
     Raises:
@@ -138,8 +138,8 @@ def _read(path):
     if content[:HEADER] != _header(memoryview(content)[HEADER:]):
         if content.startswith(b"fe_el checkpoint, version ") and not content.startswith(_header(b"")[:27]):
             return None, f"The checkpoint {path} is of another version than {VERSION}; read it with the fe_el that wrote it."
-        return None, (f"The file {path} is damaged, or no checkpoint of this version: its checksum is not that of its content. "
-                      "Go on from an older one.")
+        return None, (f"The file {path} is damaged, or no checkpoint of this version: its checksum is not that of its "
+                      "content. Go on from an older one.")
     return _groups(content), None
 
 

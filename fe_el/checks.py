@@ -1,10 +1,108 @@
-"""Checks of numbers that users give."""
+"""Checks of what users give: each returns the argument in its final form, or raises a sentence that says what is allowed."""
 import numpy as np
+
+
+def numbers(name, value):
+    """An array of float; raises ``ValueError`` for text, objects and ragged lists."""
+    try:
+        a = np.asarray(value)
+    except ValueError:  # numpy's own for ragged lists
+        a = np.asarray(None)
+    if a.dtype.kind not in "iuf":
+        raise ValueError(f"The {name} is {_short(value)}; give a number or an array of numbers.")
+    return a.astype(float)
 
 
 def require_positive(name, value):
     """Raise ``ValueError`` unless every value is finite and positive."""
-    value = np.asarray(value, float)
-    if value.size and not (np.isfinite(value).all() and value.min() > 0):
-        worst = value.ravel()[~(np.isfinite(value.ravel()) & (value.ravel() > 0))][0]
-        raise ValueError(f"The {name} is {worst:g}; it must be finite and greater than zero.")
+    value = numbers(name, value).ravel()
+    bad = value[~(np.isfinite(value) & (value > 0))]
+    if len(bad):
+        raise ValueError(f"The {name} is {bad[0]:g}; it must be finite and greater than zero.")
+
+
+def require_not_negative(name, value):
+    """Raise ``ValueError`` unless every value is finite and not negative."""
+    value = numbers(name, value)
+    if not (np.isfinite(value).all() and (value >= 0).all()):
+        raise ValueError(f"The {name} is {value.tolist()}; it must be finite and not negative.")
+
+
+def positive_number(name, value):
+    """One finite number above zero, as float."""
+    if numbers(name, value).ndim:
+        raise ValueError(f"The {name} is {_short(value)}; give one number, above zero.")
+    require_positive(name, value)
+    return float(value)
+
+
+def whole_number(name, value, least):
+    """One whole number of at least ``least``, as int."""
+    if numbers(name, value).ndim or not np.isfinite(value) or value != int(value) or value < least:
+        raise ValueError(f"The {name} is {_short(value)}; give a whole number, {least} or more.")
+    return int(value)
+
+
+def finite_vector(name, value):
+    """Two or three finite numbers as an array (3,); the third is zero if it is left out."""
+    v, value = np.zeros(3), numbers(name, value)
+    if value.ndim != 1 or value.size not in (2, 3) or not np.isfinite(value).all():
+        raise ValueError(f"The {name} is {_short(value.tolist())}; give two or three finite numbers.")
+    v[:value.size] = value
+    return v
+
+
+def points(name, value):
+    """Positions (points, 3) of rows of two or three finite numbers."""
+    x = np.atleast_2d(numbers(name, value))
+    if x.ndim != 2 or x.shape[1] not in (2, 3) or not len(x) or not np.isfinite(x).all():
+        raise ValueError(f"The {name} have shape {x.shape}{'' if np.isfinite(x).all() else ' and are not all finite'}; give "
+                         "finite numbers in an array (particles, 2 or 3) with at least one row.")
+    return np.column_stack([x, np.zeros(len(x))]) if x.shape[1] == 2 else x.copy()
+
+
+def per_particle(name, value, count):
+    """An array (count,) of finite positive numbers, from one number or one for each particle."""
+    a = numbers(name, value)
+    if a.shape not in ((), (1,), (count,)):
+        raise ValueError(f"The {name} has shape {a.shape} for {count} particles; give one number or one for each.")
+    require_positive(name, a)
+    return np.broadcast_to(a, count).copy()
+
+
+def of_kind(name, value, *kinds):
+    """The object itself, if it is of one of the kinds; a class is not."""
+    if not isinstance(value, kinds):
+        wanted = " or ".join(kind.__name__ for kind in kinds)
+        raise ValueError(f"The {name} is {_short(value)}; pass an object of {wanted}"
+                         f"{', with its arguments in brackets' if isinstance(value, type) else ''}.")
+    return value
+
+
+def require_mesh(mesh):
+    """Raise ``ValueError`` unless this is a mesh, and not the pair that comes with tags."""
+    if not hasattr(mesh, "topology") or not hasattr(mesh, "geometry"):
+        raise ValueError(f"The mesh is {_short(mesh)}; pass the mesh itself, for instance of mesh, tags = fe_el.box(...).")
+
+
+def same_mesh(name, other, mesh):
+    """Raise ``ValueError`` if tags or a Function belong to another mesh than this."""
+    space = getattr(other, "function_space", None)
+    theirs = getattr(other, "mesh", None) if space is None else space.mesh
+    if theirs is not None and theirs is not mesh and getattr(theirs, "topology", 0) is not mesh.topology:
+        raise ValueError(f"The {name} belong to another mesh; pass those of the mesh of the particles.")
+
+
+def require_tags(name, tags, mesh):
+    """Raise ``ValueError`` unless these are tags of facets of this mesh."""
+    if not hasattr(tags, "indices") or not hasattr(tags, "values"):
+        raise ValueError(f"The {name} are {_short(tags)}; pass the facet tags that come with the mesh.")
+    if tags.dim != mesh.topology.dim - 1:
+        raise ValueError(f"The {name} are tags of entities of dimension {tags.dim}; pass those of the facets, "
+                         f"of dimension {mesh.topology.dim - 1}.")
+    same_mesh(name, tags, mesh)
+
+
+def _short(value):
+    text = repr(value)
+    return text if len(text) < 80 else text[:77] + "..."

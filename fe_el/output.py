@@ -11,6 +11,7 @@ import numpy as np
 from mpi4py import MPI
 from tqdm import tqdm
 
+from fe_el.checks import numbers, positive_number
 from fe_el.dolfinx_api import dof_table, element_of
 from fe_el.failures import PATIENCE, wait_for_all
 from fe_el.mesh import owned_corners
@@ -22,7 +23,8 @@ def time_steps(dt, end_time, start=0.0, comm=MPI.COMM_WORLD, progress=True):
     Raises:
         ValueError: for a step that is not positive or an end before the start.
     """
-    if not (dt > 0 and np.isfinite(dt)) or not end_time > start:
+    dt = positive_number("time step", dt)
+    if not numbers("end and start of the run", [end_time, start])[0] > start:
         raise ValueError(f"The time step is {dt} and the run goes from {start} to {end_time}; give a positive step and an "
                          "end after the start.")
     number = int(np.ceil((end_time - start) / dt - 1e-9))
@@ -55,8 +57,9 @@ class adaptive_steps:  # noqa: N801  called like time_steps
     """
 
     def __init__(self, fluid, end_time, courant=0.5, first=None, largest=np.inf, growth=1.2, progress=True):
-        for name, value in (("courant", courant), ("largest", largest), ("end_time", end_time), ("first", first or 1.0)):
-            if not value > 0:
+        for name, value in (("courant", courant), ("largest", largest), ("end_time", end_time),
+                            ("first", 1.0 if first is None else first)):
+            if not numbers(name, value) > 0:
                 raise ValueError(f"{name} is {value}; it must be greater than zero.")
         if not growth >= 1:
             raise ValueError(f"growth is {growth}; it must be at least 1.")

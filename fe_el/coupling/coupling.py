@@ -5,6 +5,7 @@ import time
 import numpy as np
 from dolfinx import fem
 
+from fe_el.checks import positive_number, same_mesh
 from fe_el.coupling import mapping as _mapping
 from fe_el.coupling import particle_loops as loops
 from fe_el.coupling.added_mass import AddedMass, AddedMassExchange
@@ -77,16 +78,24 @@ class Coupling(Maps):
     def __init__(self, particles, velocity, pressure, fluid_density, fluid_viscosity, forces, scheme="conservative",
                  mapping="overlap_volume", smoothing=None, fluid_velocity="cell", largest_solid_fraction=0.74,
                  positions=None, mean_velocity=None):
-        for name, value in (("fluid density", fluid_density), ("fluid viscosity", fluid_viscosity)):
-            if not (value > 0 and np.isfinite(value)):
-                raise ValueError(f"The {name} is {value}; it must be finite and greater than zero.")
-        if not 0 < largest_solid_fraction < 1:
+        if not hasattr(particles, "relaxation_rate") or isinstance(particles, type):
+            raise ValueError(f"The particles are {particles!r}; pass an object of Particles.")
+        for name, function in (("velocity", velocity), ("pressure", pressure), ("mean velocity", mean_velocity)):
+            same_mesh(f"values of the {name}", function, particles.mesh)
+        fluid_density = positive_number("fluid density", fluid_density)
+        fluid_viscosity = positive_number("fluid viscosity", fluid_viscosity)
+        if not 0 < positive_number("largest_solid_fraction", largest_solid_fraction) < 1:
             raise ValueError(f"largest_solid_fraction is {largest_solid_fraction}; it must be between 0 and 1.")
         if fluid_velocity not in ("cell", "linear"):
             raise ValueError(f"fluid_velocity is {fluid_velocity!r}; use 'cell' or 'linear'.")
         if positions not in (None, "start", "middle"):
             raise ValueError(f"positions is {positions!r}; use 'start' or 'middle', or leave it out.")
+        if not isinstance(forces, (list, tuple)):
+            raise ValueError(f"The forces are {forces!r}; give a list, for instance [Drag('beetstra'), PressureGradient()].")
         built_in = Drag, PressureGradient, Buoyancy, AddedMass, UndisturbedVelocity
+        twice = [kind.__name__ for kind in built_in if sum(isinstance(f, kind) for f in forces) > 1]
+        if twice:
+            raise ValueError(f"The forces hold {twice[0]} more than once; give each kind of force once.")
         others = [f for f in forces if not isinstance(f, built_in)]
         for force in others:
             check_force(force)
@@ -128,6 +137,7 @@ class Coupling(Maps):
             self.seconds["smoothing"] = 0.0
         cells, thickness = particles.cells, particles.thickness if d == 2 else 1.0
         self._cell_size = (math.factorial(d) * cells.volume[:cells.owned] / thickness) ** (1 / d)
+        self._dt = None  # of the last to_fluid
         self._kept, self._mapped, self._work, self._none, self.layout = None, None, WorkArrays(), np.zeros((0, d)), None
         self.over_filled, self.over_filled_total, self.solid_volume_error = 0, 0, 0.0
         self.momentum_imbalance, self.max_solid_fraction = 0.0, 0.0
@@ -174,6 +184,7 @@ class Coupling(Maps):
         Note:
             Collective.
         """
+        self._dt = positive_number("time step", dt)
         tick = self._begin()
         p = self.particles
         if self.added is None and p.next_id != self.checked and self._too_light():
@@ -353,6 +364,9 @@ class Coupling(Maps):
         Note:
             Collective.
         """
+        if positive_number("time step", dt) != self._dt:
+            raise ValueError(f"The time step of to_particles is {dt}, that of to_fluid before was {self._dt}; call "
+                             "to_fluid(dt) first, with the same step.")
         tick = self._begin()
         p, d, n = self.particles, self.dimension, self.particles.cells.owned
         a, b = self.fields[1].x.array[:n], self.fields[2].x.array.reshape(-1, d)[:n]

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fe_el.checks import require_positive
+from fe_el.checks import numbers, require_not_negative, require_positive
 
 
 class LawNumbers(NamedTuple):
@@ -36,13 +36,6 @@ class RollingFriction:
         self.coefficient, self.elastic_plastic = np.asarray(coefficient, float), bool(elastic_plastic)
 
 
-def require_not_negative(name, value):
-    """Raise ``ValueError`` unless every value is finite and not negative."""
-    value = np.asarray(value, float)
-    if not (np.isfinite(value).all() and (value >= 0).all()):
-        raise ValueError(f"The {name} is {value.tolist()}; it must be finite and not negative.")
-
-
 def pair_table(name, value, materials):
     """Symmetric (materials, materials) array of a number or a table.
 
@@ -70,7 +63,7 @@ class _Law:
         super().__setattr__(name, value)
 
     def _common(self, restitution, friction, rolling, attraction, materials):
-        e = np.asarray(restitution, float)
+        e = restitution
         if not ((e > 0).all() and (e <= 1).all()):
             raise ValueError(f"The restitution is {e.tolist()}; it must be greater than 0 and at most 1.")
         require_not_negative("friction", friction)
@@ -130,10 +123,14 @@ class LinearSpringDashpot(_Law):
     def __init__(self, stiffness, restitution, friction, tangential_stiffness_ratio=2 / 7, tangential_damping_ratio=0.5,
                  rolling=None, surface_energy=0.0, cohesion=0.0):
         require_positive("stiffness", stiffness)
-        if np.any(cohesion):
+        restitution, friction = numbers("restitution", restitution), numbers("friction", friction)
+        surface_energy = numbers("surface energy", surface_energy)
+        if numbers("cohesion", cohesion).any():
             raise ValueError(f"The linear law has cohesion {cohesion} J/m^3; an attraction by the contact area only takes "
-                             "from a linear stiffness and nothing sticks. Give surface_energy= [J/m^2], or use HertzMindlin.")
-        kt, et = np.asarray(tangential_stiffness_ratio, float), np.asarray(tangential_damping_ratio, float)
+                             "from a linear stiffness and nothing sticks. Give surface_energy= [J/m^2], or use a "
+                             "HertzMindlin law.")
+        kt = numbers("tangential stiffness ratio", tangential_stiffness_ratio)
+        et = numbers("tangential damping ratio", tangential_damping_ratio)
         if not ((kt > 0).all() and (kt <= 1).all()):
             raise ValueError(f"The tangential stiffness ratio is {kt.tolist()}; it must be in (0, 1].")
         if not ((et >= 0).all() and (et <= 1).all()):
@@ -174,7 +171,9 @@ class HertzMindlin(_Law):
 
     def __init__(self, youngs_modulus, poisson_ratio, restitution, friction, rolling=None, cohesion=0.0):
         require_positive("Young's modulus", youngs_modulus)
-        nu = np.asarray(poisson_ratio, float)
+        restitution, friction = numbers("restitution", restitution), numbers("friction", friction)
+        cohesion = numbers("cohesion energy density", cohesion)
+        nu = numbers("Poisson ratio", poisson_ratio)
         if not ((nu > -1).all() and (nu <= 0.5).all()):
             raise ValueError(f"The Poisson ratio is {nu.tolist()}; it must be in (-1, 0.5].")
         n = materials_of(youngs_modulus, nu, restitution, friction, rolling_coefficient(rolling), cohesion)

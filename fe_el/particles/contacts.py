@@ -3,16 +3,17 @@ import time
 
 import numpy as np
 
-from fe_el.checks import require_positive
+from fe_el.checks import of_kind, positive_number, require_tags
 from fe_el.direct_calls import Direct
 from fe_el.exchange import largest_of, raise_everywhere
 from fe_el.messages import largest, ranks_of
 from fe_el.particles import contact_lists, motion
 from fe_el.particles.array_law import ArrayLaw, array_forces
+from fe_el.particles.contact_laws import HertzMindlin, LinearSpringDashpot
 from fe_el.particles.law_kernels import constant_rows, new_block
-from fe_el.particles.particles import LostParticle
+from fe_el.particles.particles import LostParticle, Particles
 from fe_el.particles.sub_steps import all_forces, sub_steps, update_near, wall_forces
-from fe_el.particles.wall_shapes import FacetWalls, move_walls
+from fe_el.particles.wall_shapes import FACETS, FacetWalls, move_walls
 
 
 class Contacts:
@@ -43,14 +44,15 @@ class Contacts:
     """
 
     def __init__(self, particles, law, walls=None, wall_law=None, steps_per_contact=50, skin=None):
-        if not steps_per_contact >= 10:
+        of_kind("particles", particles, Particles)
+        if not positive_number("steps_per_contact", steps_per_contact) >= 10:
             raise ValueError(f"steps_per_contact is {steps_per_contact}; at least 10 are needed to resolve a contact.")
         if skin is not None:
-            require_positive("skin", skin)
+            positive_number("skin", skin)
         self.particles, self.law, self._wall_law = particles, law, wall_law
         self.steps_per_contact = steps_per_contact
         if isinstance(walls, tuple):
-            walls = FacetWalls(*walls)
+            walls = FacetWalls(*walls) if len(walls) == 2 and hasattr(walls[0], "indices") else list(walls)
         self.walls = list(np.atleast_1d(np.array(walls, object))) if walls is not None else []
         self._check_parts()
         self._sub_steps, self._all_forces = Direct(sub_steps), Direct(all_forces)
@@ -75,9 +77,13 @@ class Contacts:
 
     def _check_parts(self):
         """Whether laws and walls go together."""
+        for law in (self.law, self.wall_law):
+            of_kind("contact law", law, LinearSpringDashpot, HertzMindlin, ArrayLaw)
         for wall in self.walls:
-            if not hasattr(wall, "motion"):
+            if isinstance(wall, type) or not hasattr(wall, "motion"):
                 raise ValueError(f"{wall!r} is no wall; use FacetWalls, PlaneWall, CylinderWall or (facet_tags, groups).")
+            if wall.kind == FACETS:
+                require_tags("facet tags of a wall", wall.facet_tags, self.particles.mesh)
         if self.walls and isinstance(self.wall_law, ArrayLaw):
             raise ValueError("An ArrayLaw acts between particles only; give walls a wall_law, for instance HertzMindlin.")
         self._check_materials()

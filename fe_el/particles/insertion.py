@@ -2,29 +2,40 @@
 import numpy as np
 from numba import njit
 
+from fe_el import checks
 from fe_el.checks import require_positive
 
 
-def check(particles, position, diameter, density, velocity):
+def check(particles, position, diameter, density, velocity, material, coarse_graining):
     """Full arrays of the arguments of an insertion, after checking them."""
-    x = np.atleast_2d(np.asarray(position, float))
-    if x.size == 0:
+    if checks.numbers("positions", position).size == 0:
         raise ValueError("The particle set is empty; give at least one position.")
-    n = len(x)
-    if x.shape[1] not in (2, 3) or not np.isfinite(x).all():
-        raise ValueError(f"The positions have shape {x.shape}" + (" and are not all finite" if x.size else "")
-                         + "; give finite numbers in an array (particles, 2 or 3).")
-    x = np.column_stack([x, np.zeros(n)]) if x.shape[1] == 2 else x.copy()
+    x = checks.points("positions", position)
+    n, v = len(x), checks.numbers("velocity", velocity)
+    if v.ndim and v.shape not in ((2,), (3,), (n, 2), (n, 3)) or not np.isfinite(v).all() or v.ndim == 0 and v != 0:
+        raise ValueError(f"The velocity has shape {v.shape} for {n} particles"
+                         f"{'' if np.isfinite(v).all() else ' and is not finite'}; give two or three finite numbers, or a "
+                         "row of these for each [m/s].")
+    full = np.zeros((n, 3))
+    full[:, :v.shape[-1] if v.ndim else 3] = v
+    if particles.mesh.topology.dim == 2 and (full[:, 2].any() or x[:, 2].any()):
+        raise ValueError("Positions or velocities have a third component on a mesh of two dimensions; it must be zero.")
+    kinds = checks.numbers("material", material)
+    if kinds.shape not in ((), (n,)) or not np.isfinite(kinds).all() or (kinds < 0).any() or (kinds % 1).any():
+        raise ValueError(f"The material is {material}; give the index of a material, 0 or more, or one for each particle.")
     density = particles.default_density if density is None else density
-    require_positive("diameter", diameter)
-    require_positive("density", density)
-    v = np.zeros((n, 3))
-    velocity = np.asarray(velocity, float)
-    v[:, :velocity.shape[-1] if velocity.ndim else 3] = velocity
-    if not np.isfinite(v).all():
-        raise ValueError("The velocity has entries that are not finite; give finite numbers [m/s].")
-    return x, np.broadcast_to(np.asarray(diameter, float), n).copy(), \
-        np.broadcast_to(np.asarray(density, float), n).copy(), v
+    return (x, *(checks.per_particle(name, a, n) for name, a in (("diameter", diameter), ("density", density))), full,
+            np.broadcast_to(kinds.astype(np.int32), n), checks.per_particle("coarse graining", coarse_graining, n))
+
+
+def check_box(particles, lower, upper):
+    """Two corners of as many numbers as the mesh has dimensions."""
+    d = particles.mesh.topology.dim
+    corners = [checks.numbers(name, value) for name, value in (("lower corner", lower), ("upper corner", upper))]
+    for name, corner in zip(("lower", "upper"), corners):
+        if corner.shape not in ((d,), (3,)) or not np.isfinite(corner).all():
+            raise ValueError(f"The {name} corner of the box is {corner.tolist()}; give {d} finite numbers.")
+    return corners
 
 
 def claim(particles, x):
@@ -64,15 +75,14 @@ def random_positions(lower, upper, count, diameter, seed, without_overlap, perio
     ``there``: centres and radii of spheres that are there already; absent: none.
     """
     lower, upper = np.asarray(lower, float), np.asarray(upper, float)
-    if count < 1:
-        raise ValueError(f"The number of particles is {count}; the particle set must not be empty.")
+    count = checks.whole_number("number of particles", count, 1)
     if not (upper >= lower).all():
         raise ValueError(f"The box from {lower.tolist()} to {upper.tolist()} is empty; give lower <= upper.")
-    require_positive("diameter", diameter)
+    diameter = checks.per_particle("diameter", diameter, count)
     rng = np.random.default_rng(seed)
     if not without_overlap:
         return lower + rng.random((count, len(lower))) * (upper - lower)
-    radius = np.broadcast_to(np.asarray(diameter, float) / 2, count).copy()
+    radius = diameter / 2
     lo, hi = np.zeros(3), np.zeros(3)
     lo[:len(lower)], hi[:len(upper)] = lower, upper
     order = np.argsort(-radius, kind="stable")

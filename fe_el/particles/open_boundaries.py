@@ -5,7 +5,7 @@ from numba import njit
 from scipy.spatial import cKDTree
 
 from fe_el import mesh as _mesh
-from fe_el.checks import require_positive
+from fe_el.checks import finite_vector, of_kind, positive_number, require_positive, require_tags
 from fe_el.particles.walls import facet_balls, facet_frames, nearest_point
 
 
@@ -83,14 +83,16 @@ class Inlet:
     """
 
     def __init__(self, particles, facet_tags, group, mass_rate, diameter, velocity, density=None, seed=0, tries=100, **kind):
-        require_positive("mass rate", mass_rate)
+        from fe_el.particles.particles import Particles  # which imports this module
+        of_kind("particles", particles, Particles)
+        require_tags("facet tags of an inlet", facet_tags, particles.mesh)
+        mass_rate = positive_number("mass rate", mass_rate)
         if not callable(diameter):
             require_positive("diameter", diameter)
-        self.particles, self.mass_rate, self.diameter = particles, float(mass_rate), diameter
+        self.particles, self.mass_rate, self.diameter = particles, mass_rate, diameter
         self.tries, self.kind = tries, kind
-        self.density = particles.default_density if density is None else float(density)
-        self.velocity = np.zeros(3)
-        self.velocity[:len(velocity)] = velocity
+        self.density = positive_number("density", particles.default_density if density is None else density)
+        self.velocity = finite_vector("velocity", velocity)
         corner = _mesh.boundary_facets(particles.mesh, facet_tags, group)[0]
         self.corner = np.array([x[_mesh.by_place(x)] for x in corner])
         edges = self.corner[:, 1:] - self.corner[:, :1]
@@ -122,7 +124,7 @@ class Inlet:
 
     def advance(self, dt):
         """Let in the mass of ``dt`` [s]; returns the number of new particles."""
-        self.waiting += self.mass_rate * dt
+        self.waiting += self.mass_rate * positive_number("time step", dt)
         near, radii = self._particles_near()
         new, sizes = [], []
         while True:

@@ -2,7 +2,7 @@
 import numpy as np
 
 from fe_el import mesh as _mesh
-from fe_el.checks import require_positive
+from fe_el.checks import finite_vector, positive_number, require_mesh, require_positive, require_tags
 from fe_el.exchange import largest_of, move, raise_everywhere
 from fe_el.failures import end_all_ranks_on_errors
 from fe_el.particles import insertion, location, motion
@@ -43,12 +43,11 @@ class Particles:
     """
 
     def __init__(self, mesh, density, gravity=(0.0, 0.0, 0.0), thickness=1.0):
-        require_positive("density", density)
-        require_positive("thickness", thickness)
+        require_mesh(mesh)
+        density, thickness = positive_number("density", density), positive_number("thickness", thickness)
         end_all_ranks_on_errors(mesh.comm)
-        self.mesh, self.comm, self.default_density = mesh, mesh.comm, float(density)
-        self.gravity = np.zeros(3)
-        self.gravity[:len(gravity)] = gravity
+        self.mesh, self.comm, self.default_density = mesh, mesh.comm, density
+        self.gravity = finite_vector("gravity", gravity)
         self.thickness, self.halo_width, self.step = thickness, -1.0, 0
         self.left, self.left_mass, self._open, self._place = 0, 0.0, None, None
         for name, shape in FIELDS.items():
@@ -112,27 +111,25 @@ class Particles:
         ``material`` is the index (one, or one per particle) into the table of the contact law.
 
         Raises:
-            ValueError: for a position outside the mesh, not finite, or a diameter or density that is not positive.
+            ValueError: for a position outside the mesh, not finite, or a diameter or density that is not positive; nothing
+                is inserted then.
 
         Note:
             Collective.
         """
-        x, diameter, density, velocity = insertion.check(self, position, diameter, density, velocity)
+        x, diameter, density, velocity, material, coarse_graining = insertion.check(
+            self, position, diameter, density, velocity, material, coarse_graining)
         self.reach_halo(3.0 * diameter.max())
         cell = insertion.claim(self, x)
         mine = np.flatnonzero(cell >= 0)
         new = {name: np.zeros((len(mine), *shape)) for name, shape in FIELDS.items()}
         new["position"], new["velocity"], new["diameter"] = x[mine], velocity[mine], diameter[mine]
-        require_positive("coarse graining", coarse_graining)
-        new["density"], new["coarse_graining"] = density[mine], np.broadcast_to(coarse_graining, len(x))[mine]
+        new["density"], new["coarse_graining"] = density[mine], coarse_graining[mine]
         for name in FIELDS:
             setattr(self, name, np.concatenate([getattr(self, name), new[name]]))
         self.cell = np.concatenate([self.cell, cell[mine]])
         self.id = np.concatenate([self.id, self.next_id + mine])
         self.held = np.concatenate([self.held, np.zeros(len(mine), bool)])
-        material = np.broadcast_to(np.asarray(material, np.int32), len(x))
-        if material.min() < 0:
-            raise ValueError(f"The material is {material.min()}; give indices of materials, 0 or more.")
         self.material = np.concatenate([self.material, material[mine]])
         for name, a in self.properties.items():
             self.properties[name] = np.concatenate([a, np.zeros((len(mine), *a.shape[1:]), a.dtype)])
@@ -153,6 +150,8 @@ class Particles:
         Note:
             Collective.
         """
+        lower, upper = insertion.check_box(self, lower, upper)
+        require_positive("diameter", diameter)
         there = insertion.spheres_near(self, lower, upper, 0.5 * np.max(diameter)) if without_overlap else None
         x = insertion.random_positions(lower, upper, count, diameter, seed, without_overlap, self.period, there)
         self.insert_at(x, diameter, density, velocity, **kind)
@@ -166,7 +165,9 @@ class Particles:
         Note:
             Collective.
         """
-        diameter = np.random.default_rng(seed).permutation(np.asarray(diameter, float))
+        lower, upper = insertion.check_box(self, lower, upper)
+        require_positive("diameter", diameter)
+        diameter = np.random.default_rng(seed).permutation(np.atleast_1d(np.asarray(diameter, float)))
         self.insert_at(insertion.lattice_positions(lower, upper, diameter, seed), diameter, density, velocity, **kind)
 
     def remove_at(self, facet_tags, groups):
@@ -178,6 +179,7 @@ class Particles:
         Note:
             Collective.
         """
+        require_tags("facet tags of an outlet", facet_tags, self.mesh)
         self._open = OpenBoundaries(self.mesh, facet_tags, groups)
 
     # -- order and ranks -------------------------------------------------------------------------------------------
@@ -373,7 +375,10 @@ class Particles:
         Note:
             Collective.
         """
-        require_positive("time step", dt)
+        positive_number("time step", dt)
+        if contacts is not None and getattr(contacts, "particles", None) is not self:
+            raise ValueError(f"The contacts are {contacts!r}, not those of these particles; pass Contacts(particles, ...).")
+        self.gravity = finite_vector("gravity", self.gravity)
         self._check_arrays()
         self.step += 1
         if contacts is None:

@@ -2,24 +2,15 @@
 import numpy as np
 from numba import njit
 
-from fe_el.checks import require_positive
+from fe_el.checks import finite_vector, positive_number, whole_number
 from fe_el.particles.law_kernels import BLOCK, FAST
 from fe_el.particles.wall_blocks import add_contact, finish_block
 
 PLANE, CYLINDER, FACETS = 0, 1, 2
 
 
-def _vector(name, value):
-    v = np.zeros(3)
-    value = np.asarray(value, float).ravel()
-    if value.size not in (2, 3) or not np.isfinite(value).all():
-        raise ValueError(f"The {name} is {value.tolist()}; give two or three finite numbers.")
-    v[:value.size] = value
-    return v
-
-
 def _direction(name, value, wanted):
-    v = _vector(name, value)
+    v = finite_vector(f"{name} of a wall", value)
     length = np.linalg.norm(v)
     if not length > 0:
         raise ValueError(f"The {name} of a wall is zero; give {wanted}.")
@@ -39,10 +30,10 @@ class _Wall:
 
     def motion(self):
         """Origin, velocity and rotation in one row, after checking them and the material."""
-        if isinstance(self.material, bool) or self.material != int(self.material) or self.material < 0:
-            raise ValueError(f"The wall's material is {self.material}; give the index of a material, 0 or more.")
-        self.point, self.velocity = _vector("point", self.point), _vector("velocity", self.velocity)
-        self.angular_velocity = _vector("angular velocity", self.angular_velocity)
+        self.material = whole_number("material of a wall", self.material, 0)
+        self.point = finite_vector("point of a wall", self.point)
+        self.velocity = finite_vector("velocity of a wall", self.velocity)
+        self.angular_velocity = finite_vector("angular velocity of a wall", self.angular_velocity)
         return np.concatenate([self.point, self.velocity, self.angular_velocity])
 
 
@@ -106,7 +97,7 @@ class CylinderWall(_Wall):
     @property
     def shape(self):
         """The unit axis, and the radius, negative if particles are outside."""
-        require_positive("cylinder radius", self.radius)
+        self.radius = positive_number("radius of a cylinder wall", self.radius)
         return np.array([*_direction("axis", self.axis, "its direction"), -self.radius if self.outside else self.radius])
 
     def moved(self, point, shape):
