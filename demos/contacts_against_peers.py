@@ -9,7 +9,6 @@ import argparse
 import csv
 import json
 import logging
-import os
 import re
 import shutil
 import subprocess
@@ -24,6 +23,7 @@ from mpi4py import MPI
 from tqdm import tqdm
 
 import fe_el
+from fe_el.failures import environment_outside_mpirun
 
 matplotlib.use("Agg")
 DENSITY, GRAVITY, STEPS_PER_CONTACT, TANGENTIAL_STIFFNESS, TANGENTIAL_DAMPING = 2525.0, 9.81, 22, 2 / 7, 0.5
@@ -150,7 +150,7 @@ def launch(command, ranks, folder, log):
     """Run a command on so many ranks; returns what it printed, or ``None`` if it failed."""
     if ranks > 1:
         command = ["mpirun", "--oversubscribe", "--allow-run-as-root", "--bind-to", "none", "-n", str(ranks), *command]
-    env = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_", "PMIX_"))} | {"OMP_NUM_THREADS": "1"}
+    env = environment_outside_mpirun() | {"OMP_NUM_THREADS": "1"}
     env["PYTHONPATH"] = str(Path(fe_el.__file__).resolve().parents[1])
     run = subprocess.run(command, check=False, cwd=folder, env=env, capture_output=True, text=True)
     (folder / f"{log}.log").write_text(run.stdout + run.stderr)

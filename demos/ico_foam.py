@@ -1,11 +1,12 @@
 """Cases for OpenFOAM's icoFoam (PISO) to compare with: a box of cubes, written, run and read back."""
-import os
 import re
 import shutil
 import subprocess
 from pathlib import Path
 
 import numpy as np
+
+from fe_el.failures import environment_outside_mpirun
 
 HEAD = "FoamFile {{ version 2.0; format ascii; class {}; object {}; }}\n"
 SCHEMES = """ddtSchemes {{ default {ddt}; }}
@@ -84,7 +85,7 @@ def vectors(values):
 
 def environment():
     """Variables that OpenFOAM runs with, without those of an mpirun around this."""
-    return {**{k: v for k, v in os.environ.items() if not k.startswith(("OMPI_", "PMIX_"))}, **SETTINGS}
+    return environment_outside_mpirun() | SETTINGS
 
 
 def call(command, folder):

@@ -1,4 +1,5 @@
 """Errors under mpirun: whatever ends one rank ends all of them, with one message where all ranks say the same."""
+import os
 import sys
 import time
 import traceback
@@ -52,3 +53,9 @@ def _end(kind, error, trace):
                                                                 trace)) + f"The run ends: this error came on {where}.\n")
     sys.stderr.flush()
     comm.Abort(1)
+
+
+def environment_outside_mpirun():
+    """This environment without what mpirun (OpenMPI's, MPICH's) gives its ranks, for programs that a rank starts."""
+    given = ("OMPI_", "PMIX_", "PRTE_", "PMI_", "HYDI_", "MPI_LOCAL")
+    return {name: value for name, value in os.environ.items() if not name.startswith(given)}

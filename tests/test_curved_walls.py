@@ -1,11 +1,11 @@
 """Curved walls of flat facets: pipes and cones act like the surface they stand for, at any refinement."""
 import numpy as np
 import pytest
-import ufl
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
 import fe_el
+from fe_el.dolfinx_api import create_mesh
 from fe_el.particles.wall_patches import smooth_patches
 
 D, RHO, K = 0.01, 2500.0, 1e4
@@ -15,8 +15,7 @@ NO_GAIN = 1 + (np.pi / 50) ** 2 / 8  # what a step that splits the first touch c
 
 def of_cells(x, cells, is_wall):
     """Mesh of the given tetrahedra whose boundary facets at which ``is_wall(midpoints)`` have tag 3."""
-    mesh = dmesh.create_mesh(MPI.COMM_SELF, np.array(cells, np.int64), np.array(x, float),
-                             ufl.Mesh(ufl.VectorElement("Lagrange", "tetrahedron", 1)))
+    mesh = create_mesh(MPI.COMM_SELF, cells, x)
     mesh.topology.create_connectivity(2, 3)
     mesh.topology.create_connectivity(2, 0)
     facets = np.sort(dmesh.exterior_facet_indices(mesh.topology))
