@@ -11,8 +11,8 @@ from fe_el.particles.wall_patches import smooth_patches
 from fe_el.particles.wall_shapes import FACETS, shape_list
 
 SORT_EVERY = 8  # rebuilds
-AHEAD = 160  # sub-steps that particles and walls have room for at their present speed
-WIDEST = 1.0  # room at most, over the largest diameter
+AHEAD = 80  # sub-steps that particles and walls have room for at their present speed
+WIDEST = 0.5  # room at most, over the largest diameter
 
 
 class ContactLists:
@@ -252,12 +252,14 @@ class ContactLists:
         """Send the springs of particles that changed rank after them."""
         comm, leaving, out = self.particles.comm, destination != self.particles.comm.rank, []
         place = np.cumsum(~leaving) - 1
-        arrived = {int(g): k for k, g in enumerate(self.particles.id)}
+        stayed = int((~leaving).sum())
+        arrived = self.particles.id[stayed:]  # they stand behind those that stayed
+        order = np.argsort(arrived)
         for particle, partner, spring in kept:
             go = leaving[particle]
             who = ids_before[particle[go]]
             ids, other, stretch = move(comm, destination[particle[go]], [who, partner[go], spring[go]])
-            index = np.array([arrived[int(g)] for g in ids], np.int64)
+            index = stayed + order[np.searchsorted(arrived, ids, sorter=order)]
             out.append((np.concatenate([place[particle[~go]], index]), np.concatenate([partner[~go], other]),
                         np.concatenate([spring[~go], stretch])))
         return out
