@@ -1,8 +1,10 @@
-"""Beds with the default mapping: a liquid's bed at rest stays at rest, and a gas bed does not know the axes."""
+"""Beds with the default mapping: in a liquid one at rest stays at rest, one that is fluidised has the drag law's void
+fraction; and a gas bed does not know the axes."""
 import numpy as np
 import pytest
 
 import fe_el
+from fe_el.coupling.time_scales import homogeneous_slip
 
 WATER = {"density": 996.78, "viscosity": 8.35e-4}
 FORCES = [fe_el.Drag("beetstra"), fe_el.PressureGradient(), fe_el.Buoyancy()]
@@ -40,6 +42,40 @@ def test_a_bed_in_a_liquid_comes_to_rest(density, dt, end, largest):
         speed.append(np.sqrt((beads.velocity ** 2).sum(1).mean()))
     last = speed[-len(speed) // 6:]
     assert np.sqrt(np.mean(np.square(last))) < largest and last[-1] < 0.6 * max(speed)
+
+
+def test_a_bed_fluidised_by_a_liquid_has_the_void_fraction_of_the_drag_law():
+    """Alumina in water at 0.1 m/s: where the slip of a uniform suspension is the superficial velocity over void fraction."""
+    d, density, velocity, dt, count = 3.087e-3, 3586.0, 0.1, 2e-3, 600
+    width, height = 3 * 2.5 * d, 9 * 2.5 * d
+    mesh, tags = fe_el.box((width, width, height), (3, 3, 9))
+    fluid = fe_el.VolumeAveragedNavierStokes(mesh, tags, **WATER)
+    for side in (1, 2, 3, 4):
+        fluid.set_slip(side)
+    fluid.set_velocity(5, (0, 0, velocity))
+    fluid.set_pressure(6, 0.0)
+    beads = fe_el.Particles(mesh, density, gravity=(0, 0, -9.81))
+    contacts = fe_el.Contacts(beads, fe_el.LinearSpringDashpot(500.0, 0.5, 0.1), walls=(tags, (1, 2, 3, 4, 5, 6)),
+                              steps_per_contact=20)
+    top = count * np.pi / 6 * d ** 3 / 0.3 / width ** 2
+    beads.insert_in_box((d / 2,) * 3, (width - d / 2, width - d / 2, top), count, d, seed=1, without_overlap=True)
+    coupling = fe_el.Coupling(beads, fluid.velocity, fluid.pressure, *WATER.values(), FORCES)
+    z, volume, void_fractions = beads.cells.corner.mean(1)[:, 2], beads.cells.volume, []
+    for _ in range(round(1.5 / dt)):
+        coupling.to_fluid(dt)
+        fluid.advance(dt, coupling.fields)
+        coupling.to_particles(dt)
+        beads.advance(dt, contacts)
+        height = 2 * beads.position[:, 2].mean()
+        middle = (z > 0.25 * height) & (z < 0.7 * height)
+        void_fractions.append(np.average(coupling.fields[0].x.array[middle], weights=volume[middle]))
+    low, high = 0.3, 0.9
+    for _ in range(50):
+        phi = 0.5 * (low + high)
+        slip = homogeneous_slip(d, density, *WATER.values(), 1 - phi, fe_el.drag_laws.beetstra)
+        low, high = (phi, high) if phi * slip < velocity else (low, phi)
+    assert phi == pytest.approx(0.556, abs=5e-4)
+    assert np.mean(void_fractions[len(void_fractions) // 2:]) == pytest.approx(phi, abs=0.015)
 
 
 def pressures(turn, steps=100):

@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 
 import fe_el
+from fe_el.particles import location
 
 
 @pytest.mark.ranks
@@ -80,3 +81,23 @@ def test_a_second_batch_does_not_overlap_the_first(periodic, by_id):
         apart -= np.round(apart / side) * side
     gap = np.linalg.norm(apart, axis=2) - 0.5 * (d[:, None] + d)
     assert gap[np.triu_indices(len(d), 1)].min() > 0
+
+
+def test_many_particles_are_put_in_the_order_of_their_cells(monkeypatch):
+    """Those of a cell follow each other, and nothing else changes: fields and users' properties move along."""
+    mesh, _ = fe_el.periodic_box((1.0, 1.0, 1.0), (8, 8, 8))
+    runs = []
+    for many in (1000, 10 ** 9):
+        monkeypatch.setattr(location, "MANY", many)
+        p = fe_el.Particles(mesh, 1000.0, gravity=(0, 0, -9.81))
+        p.insert_in_box((0, 0, 0), (1, 1, 1), 4000, 0.01, velocity=(0.3, 0.2, 0.1), seed=2)
+        p.properties["mark"] = np.sin(p.id)
+        for _ in range(3):
+            p.advance(1e-3)
+        runs.append(p)
+        blocks = 1 + np.count_nonzero(np.diff(p.cell))
+        assert blocks < 1.5 * len(np.unique(p.cell)) if many == 1000 else blocks > 3000
+    sorted_, plain = runs
+    row = np.argsort(sorted_.id)
+    assert np.array_equal(sorted_.properties["mark"], np.sin(sorted_.id))
+    assert np.array_equal(sorted_.position[row], plain.position) and np.array_equal(sorted_.cell[row], plain.cell)
