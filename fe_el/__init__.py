@@ -8,7 +8,8 @@ Coupling: Coupling; forces Drag, PressureGradient, ViscousStress, Buoyancy, Adde
     UndisturbedVelocity and own ones; drag_laws; HelmholtzSmoothing, PatchAverage; OverlapVolume, SatellitePoints,
     ParticleCentred, HatKernel, WellMixed; time_scales
 Meshes: read_mesh, mesh_geo, box, periodic_box
-Running: time_steps, adaptive_steps, ParaViewOutput, stage_seconds, write_summary, save_checkpoint, load_checkpoint
+Running: time_steps, adaptive_steps, ParaViewOutput, stage_seconds, write_summary, save_checkpoint, load_checkpoint,
+    StopAndSave
 
 Every public call is collective unless it says otherwise; all numbers are in SI units.
 Names are loaded when first used, so a scene without fluid never imports the fluid.
@@ -40,6 +41,7 @@ _HOME = {
     "read_mesh": "gmsh_files", "mesh_geo": "gmsh_files", "box": "box_mesh", "periodic_box": "periodic_mesh",
     "time_steps": "output", "adaptive_steps": "output", "ParaViewOutput": "output", "write_summary": "output",
     "stage_seconds": "output", "save_checkpoint": "checkpoint", "load_checkpoint": "checkpoint",
+    "StopAndSave": "stopping",
 }
 _MODULES = ("drag_laws", "time_scales", "schemes", "mapping")
 __all__ = list(_HOME) + list(_MODULES)
