@@ -6,15 +6,18 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
+from fe_el.checks import positive_number
 from fe_el.dolfinx_api import tags_by_vertices
 from fe_el.failures import end_all_ranks_on_errors
 from fe_el.partition import create_mesh
 
 
-def read_mesh(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None):
+def read_mesh(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None, scale=1.0):
     """Read a gmsh ``.msh`` file with physical groups: (mesh, cell tags, facet tags).
 
     ``slices_along`` (0, 1 or 2) gives every rank a slice across that axis; absent: dolfinx partitions by the graph of cells.
+    ``scale`` multiplies all coordinates: 0.001 for a mesh in millimetres. Names that gmsh has for groups stand for their
+    numbers wherever facet tags and groups are taken; ``facet_tags.names`` holds them.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -23,6 +26,7 @@ def read_mesh(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None):
     """
     import gmsh
     end_all_ranks_on_errors(comm)
+    scale = positive_number("scale of the mesh", scale)
     if not Path(path).is_file():
         raise FileNotFoundError(f"There is no mesh file {path}; give the path of a gmsh .msh file.")
     message = None
@@ -34,7 +38,7 @@ def read_mesh(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None):
         except Exception as error:  # gmsh raises nothing narrower
             message = f"gmsh cannot read {path}: {error}; give a .msh file that gmsh wrote."
     _end_if(gmsh, comm, message)
-    return _from_gmsh(gmsh, comm, dimension, slices_along)
+    return _from_gmsh(gmsh, comm, dimension, slices_along, scale)
 
 
 def mesh_geo(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None, **parameters):
@@ -105,12 +109,13 @@ def _elements(model, dimension, number):
     return np.concatenate(vertices), np.concatenate(groups)
 
 
-def _from_gmsh(gmsh, comm, dimension, slices_along):
+def _from_gmsh(gmsh, comm, dimension, slices_along, scale=1.0):
     """The mesh of gmsh's present model on rank 0, which is closed. Collective."""
     _end_if(gmsh, comm, _fault(gmsh, dimension) if comm.rank == 0 else None)
     d = dimension
     x, cells, facets = np.zeros((0, d)), np.zeros((0, d + 1), np.int64), np.zeros((0, d), np.int64)
     cell_groups = facet_groups = np.zeros(0, np.int32)
+    names = None
     if comm.rank == 0:
         tags, points, _ = gmsh.model.mesh.getNodes()
         order = np.argsort(tags)
@@ -118,6 +123,9 @@ def _from_gmsh(gmsh, comm, dimension, slices_along):
         number[tags[order]] = np.arange(len(tags))
         cells, cell_groups = _elements(gmsh.model, d, number)
         facets, facet_groups = _elements(gmsh.model, d - 1, number)
+        names = {gmsh.model.getPhysicalName(d, tag): tag for d, tag in gmsh.model.getPhysicalGroups(d - 1)}
         gmsh.finalize()
-    mesh = create_mesh(comm, cells, x, slices_along)
-    return mesh, tags_by_vertices(mesh, d, cells, cell_groups), tags_by_vertices(mesh, d - 1, facets, facet_groups)
+    mesh = create_mesh(comm, cells, scale * x, slices_along)
+    facet_tags = tags_by_vertices(mesh, d - 1, facets, facet_groups)
+    facet_tags.names = {name: tag for name, tag in comm.bcast(names).items() if name}
+    return mesh, tags_by_vertices(mesh, d, cells, cell_groups), facet_tags

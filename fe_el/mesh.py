@@ -4,6 +4,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
+from fe_el.checks import positive_number
 from fe_el.dolfinx_api import geometry_nodes
 from fe_el.exchange import Halo
 
@@ -241,9 +242,29 @@ def refuse_inner_facets(mesh, facet_tags, groups):
                              "Plugin Crack).")
 
 
+def group_numbers(facet_tags, groups):
+    """One or several groups, by number or by their names in gmsh, as a tuple of int.
+
+    Raises:
+        ValueError: for a name that no group has, or anything but whole numbers and names.
+    """
+    names, out = getattr(facet_tags, "names", {}), []
+    for group in [groups] if np.ndim(groups) == 0 else groups:
+        if isinstance(group, str) and group in names:
+            out.append(names[group])
+        elif isinstance(group, (int, np.integer)) and not isinstance(group, bool):
+            out.append(int(group))
+        else:
+            known = f"one of its names, {sorted(names)}" if names else "the tag of a boundary group (it has no names)"
+            raise ValueError(f"The boundary group is {group!r}; give a whole number or {known}.")
+    if not out:
+        raise ValueError(f"The boundary groups are {groups!r}; give at least one.")
+    return tuple(out)
+
+
 def require_groups(mesh, facet_tags, groups):
     """The groups as a tuple of int, after checking that each has a facet on some rank."""
-    groups = tuple(int(g) for g in np.atleast_1d(groups))
+    groups = group_numbers(facet_tags, groups)
     present = sorted(set().union(*mesh.comm.allgather(set(np.unique(facet_tags.values).tolist()))))
     for group in groups:
         if group not in present:

@@ -19,9 +19,9 @@ class StopAndSave:
                 ...
                 stop.check()
 
-    The signals are SIGTERM, and SIGUSR1, which mpirun and batch systems pass on some time before they kill (mpirun kills its
-    ranks a second after SIGTERM). Then :meth:`check` calls ``save`` on all ranks, rank 0 says so, and all leave with the exit
-    code 75 (``SystemExit``), which no error has.
+    The signals are SIGTERM, and SIGUSR1, which mpirun and batch systems pass on some time before they kill (mpirun kills
+    its ranks a second after SIGTERM). Then :meth:`check` calls ``save`` on all ranks, rank 0 says so, and all leave with the
+    exit code 75 (``SystemExit``), which no error has.
 
     Args:
         save: function without arguments, called once on all ranks.

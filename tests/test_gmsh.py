@@ -50,3 +50,49 @@ def test_what_is_no_mesh_is_refused_and_the_next_is_read(folder, case, dimension
         fe_el.read_mesh(path, dimension=dimension)
     mesh, _, tags = fe_el.mesh_geo("meshes/hopper.geo", size=0.02)
     assert mesh.topology.index_map(3).size_global > 100 and len(tags.values) >= 0
+
+
+@pytest.mark.ranks
+def test_groups_by_name_and_a_mesh_in_millimetres(folder):
+    """Names of gmsh stand for numbers wherever groups are taken; a cube of 20 mm becomes one of 0.02 m."""
+    path = f"{folder}/named.msh"
+    if MPI.COMM_WORLD.rank == 0:
+        import gmsh
+        gmsh.initialize()
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 8)
+        model = gmsh.model
+        cube = model.occ.addBox(0, 0, 0, 20, 20, 20)
+        model.occ.synchronize()
+        model.addPhysicalGroup(3, [cube], 10)
+        for number, name, sides in ((31, "INLET", [5]), (32, "OUTLET", [6]), (33, "WALL", [1, 2, 3, 4])):
+            model.setPhysicalName(2, model.addPhysicalGroup(2, sides, number), name)
+        model.mesh.generate(3)
+        gmsh.write(path)
+        gmsh.finalize()
+    MPI.COMM_WORLD.barrier()
+    mesh, _, tags = fe_el.read_mesh(path, scale=1e-3)
+    assert tags.names == {"INLET": 31, "OUTLET": 32, "WALL": 33}
+    air, beads = fe_el.VolumeAveragedNavierStokes(mesh, tags), fe_el.Particles(mesh, 2500.0, (0, 0, -9.81))
+    air.set_velocity("INLET", (0, 0, 0.5))
+    air.set_pressure("OUTLET")
+    air.set_no_slip(("WALL",))
+    heat = fe_el.Scalar(air, 1e-5)
+    heat.set_inflow("INLET", 1.0)
+    air.advance(1e-3)
+    heat.advance(1e-3)
+    assert air.comm.allreduce(air.volume.sum()) == pytest.approx(8e-6)
+    assert air.boundary_force("WALL")[0] == pytest.approx(air.boundary_force(33)[0])
+    inlet = fe_el.Inlet(beads, tags, "OUTLET", 0.01, 1e-3, (0, 0, -0.3))
+    beads.remove_at(tags, ["INLET"])
+    contacts = fe_el.Contacts(beads, fe_el.LinearSpringDashpot(100.0, 0.5, 0.3), (tags, ("WALL", 31)))
+    for _ in range(5):
+        inlet.advance(1e-2)
+        beads.advance(1e-3, contacts)
+    assert beads.total_number == inlet.inserted > 5
+    for bad, words in (("LID", "LID.*names.*INLET"), (1.5, "whole number"), ((), "at least one"), (None, "whole number")):
+        for call in (air.set_slip, lambda group: fe_el.Contacts(beads, contacts.law, (tags, group))):
+            with pytest.raises(ValueError, match=words):
+                call(bad)
+    with pytest.raises(ValueError, match="scale"):
+        fe_el.read_mesh(path, scale=0.0)

@@ -5,7 +5,7 @@ from fe_el.exchange import raise_everywhere
 from fe_el.fluid import cell_kernels, node_kernels
 from fe_el.fluid.boundary_values import velocity_at, volume_flux
 from fe_el.fluid.walls import WallFriction, held_directions
-from fe_el.mesh import refuse_inner_facets, require_groups
+from fe_el.mesh import group_numbers, refuse_inner_facets, require_groups
 
 
 class BoundaryFacets:
@@ -56,18 +56,15 @@ class Boundaries:
         """Facets and nodes of a boundary group."""
         if self.facet_tags is None:
             raise ValueError(f"Boundary group {group} was named, but no facet_tags were given; pass facet_tags=.")
+        group, = self._numbers(group)
         if group not in self._facets:
             self._facets[group] = BoundaryFacets(self.mesh, self.facet_tags, group, self.dofs, self.corner, self.gradient,
                                                  self.volume, self.node_halo, self.nodes)
         return self._facets[group]
 
-    @staticmethod
-    def _numbers(groups):
-        """The groups as a list of int."""
-        groups = np.atleast_1d(np.asarray(groups))
-        if groups.dtype.kind not in "iu" or groups.ndim != 1 or not groups.size:
-            raise ValueError(f"The boundary groups are {groups.tolist()}; give a whole number or a list of whole numbers.")
-        return groups.tolist()
+    def _numbers(self, groups):
+        """The groups, by number or by their names in gmsh, as int."""
+        return group_numbers(self.facet_tags, groups)
 
     def _set(self, kind, groups, *what):
         """Give groups a condition, in place of what they had."""
