@@ -4,7 +4,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fe_el.checks import positive_number
 from fe_el.dolfinx_api import geometry_nodes
 from fe_el.exchange import Halo
 

@@ -101,3 +101,45 @@ def test_many_particles_are_put_in_the_order_of_their_cells(monkeypatch):
     row = np.argsort(sorted_.id)
     assert np.array_equal(sorted_.properties["mark"], np.sin(sorted_.id))
     assert np.array_equal(sorted_.position[row], plain.position) and np.array_equal(sorted_.cell[row], plain.cell)
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_beads_inserted_without_overlap_lie_inside_the_boundary(dimension):
+    mesh, _ = fe_el.box((0.02,) * dimension, (4,) * dimension)
+    p, d = fe_el.Particles(mesh, 2500.0), 2e-3
+    p.insert_in_box((0,) * dimension, (0.02,) * dimension, 40, d, seed=1, without_overlap=True)
+    p.insert_in_box((0,) * dimension, (0.02,) * dimension, 10, d / 2, seed=2, without_overlap=True)
+    x, r = p.position[:, :dimension], p.diameter[:, None] / 2
+    assert p.total_number == 50 and (x > r * (1 - 1e-8)).all() and (x < 0.02 - r * (1 - 1e-8)).all()
+    with pytest.raises(ValueError, match="Only 0 of 1 particles fit"):
+        p.insert_in_box((0,) * dimension, (5e-4,) * dimension, 1, d, without_overlap=True)
+
+
+@pytest.mark.ranks
+def test_a_refused_insertion_changes_nothing():
+    mesh, _ = fe_el.box((1.0, 1.0, 1.0), (2, 2, 2))
+    p = fe_el.Particles(mesh, 1000.0)
+    p.insert_at([(0.5, 0.5, 0.5)], 0.1)
+    p.properties["heat"] = np.ones(len(p))
+    here = {name: len(a) for part in p.arrays() for name, a in part.items()}
+    for bad in ({"material": -1}, {"coarse_graining": 0.0}, {"diameter": [0.1, 0.1, 0.1]}, {"velocity": (np.nan, 0, 0)},
+                {"density": -1.0}, {"displacement": -1.0}, {"displacement": 5.0}):
+        with pytest.raises(ValueError):
+            p.insert_at(**{"position": [(0.2, 0.2, 0.2), (0.7, 0.7, 0.7)], "diameter": 0.1, **bad})
+        assert {name: len(a) for part in p.arrays() for name, a in part.items()} == here and p.next_id == 1
+
+
+def test_a_lattice_with_small_displacements_does_not_stand_as_columns():
+    """Equal beads one above the other: put exactly so they stand as a column, displaced by a thousandth they fall over."""
+    mesh, tags = fe_el.box((0.05, 0.05, 0.05), (2, 2, 2))
+    heights = []
+    for displacement in (0.0, 2e-6):
+        p, d = fe_el.Particles(mesh, 2500.0, (0, 0, -9.81)), 2e-3
+        p.insert_at([(0.025, 0.025, (k + 0.5) * d) for k in range(8)], d, displacement=displacement, seed=3)
+        p.position[:, 2] += 5e-6
+        c = fe_el.Contacts(p, fe_el.LinearSpringDashpot(1000.0, 0.5, 0.3), (tags, (1, 2, 3, 4, 5)))
+        for _ in range(60):
+            p.advance(1e-2, c)
+        heights.append(p.position[:, 2].max())
+    assert heights[0] == pytest.approx(7.5 * 2e-3, rel=0.01) and heights[1] < 4e-3

@@ -4,6 +4,7 @@ from numba import njit
 
 from fe_el import checks
 from fe_el.checks import require_positive
+from fe_el.particles.walls import facet_balls, nearest_point
 
 
 def check(particles, position, diameter, density, velocity, material, coarse_graining):
@@ -69,10 +70,31 @@ def spheres_near(particles, lower, upper, reach):
     return np.concatenate([p[0] for p in parts])[order], np.concatenate([p[1] for p in parts])[order]
 
 
-def random_positions(lower, upper, count, diameter, seed, without_overlap, period=None, there=None):
+def boundary_near(particles, lower, upper, reach):
+    """Corners (facets, d, 3) of the boundary facets of all ranks that may come within ``reach`` of a box.
+
+    Note:
+        Collective.
+    """
+    cells, d = particles.cells, particles.mesh.topology.dim
+    cell, facet = np.nonzero(cells.neighbour[:cells.owned] < 0)
+    keep = np.array([[v for v in range(d + 1) if v != f] for f in range(d + 1)])
+    corner = cells.corner[cell[:, None], keep[facet]]
+    k = min(len(lower), d)
+    near = (corner.min(1)[:, :k] < np.asarray(upper)[:k] + reach) & (corner.max(1)[:, :k] > np.asarray(lower)[:k] - reach)
+    return np.concatenate(particles.comm.allgather(corner[near.all(1)]))
+
+
+def displacements(count, dimension, largest, seed):
+    """Random displacements (count, dimension) of at most ``largest`` [m] along each axis."""
+    checks.require_not_negative("displacement", largest)
+    return np.random.default_rng(seed).uniform(-1, 1, (count, dimension)) * largest
+
+
+def random_positions(lower, upper, count, diameter, seed, without_overlap, period=None, there=None, boundary=None):
     """Uniform random positions (count, 3) in a box, at random or by sequential insertion without overlap.
 
-    ``there``: centres and radii of spheres that are there already; absent: none.
+    ``there``: centres and radii of spheres that are there already, ``boundary``: facets; absent: none.
     """
     lower, upper = np.asarray(lower, float), np.asarray(upper, float)
     count = checks.whole_number("number of particles", count, 1)
@@ -87,7 +109,9 @@ def random_positions(lower, upper, count, diameter, seed, without_overlap, perio
     lo[:len(lower)], hi[:len(upper)] = lower, upper
     order = np.argsort(-radius, kind="stable")
     there = there or (np.zeros((0, 3)), np.zeros(0))
-    x, placed = _sequential(lo, hi, radius[order], seed, np.zeros(3) if period is None else period, *there)
+    boundary = np.zeros((0, 3, 3)) if boundary is None else boundary
+    balls = facet_balls(boundary) if len(boundary) else np.zeros((0, 7))
+    x, placed = _sequential(lo, hi, radius[order], seed, np.zeros(3) if period is None else period, *there, boundary, balls)
     if placed < count:
         raise ValueError(f"Only {placed} of {count} particles fit without overlap in the box from {lower.tolist()} to "
                          f"{upper.tolist()}; use a larger box, fewer particles, or insert_on_lattice.")
@@ -97,7 +121,19 @@ def random_positions(lower, upper, count, diameter, seed, without_overlap, perio
 
 
 @njit(cache=True)
-def _sequential(lower, upper, new_radius, seed, period, there, their_radius):
+def _touches(x, radius, corner, ball):
+    """Whether a sphere reaches one of the facets."""
+    for f in range(len(ball)):
+        dx, dy, dz, far = x[0] - ball[f, 0], x[1] - ball[f, 1], x[2] - ball[f, 2], radius + ball[f, 3]
+        if dx * dx + dy * dy + dz * dz < far * far and abs(dx * ball[f, 4] + dy * ball[f, 5] + dz * ball[f, 6]) < radius:
+            qx, qy, qz, _, _, _ = nearest_point(corner[f], x[0], x[1], x[2])
+            if (qx - x[0]) ** 2 + (qy - x[1]) ** 2 + (qz - x[2]) ** 2 < radius * radius:
+                return True
+    return False
+
+
+@njit(cache=True)
+def _sequential(lower, upper, new_radius, seed, period, there, their_radius, corner, ball):
     """Random sequential insertion, largest first, with bins of one largest diameter; periodic images count."""
     np.random.seed(seed)
     old, shape, size = len(there), np.ones(3, np.int64), np.empty(3)
@@ -119,7 +155,7 @@ def _sequential(lower, upper, new_radius, seed, period, there, their_radius):
             for k in range(3):
                 trial[k] = lower[k] + np.random.random() * (upper[k] - lower[k])
                 at[k] = min(int((trial[k] - lower[k]) / size[k]), shape[k] - 1)
-            free = True
+            free = not _touches(trial, radius[i] * (1 - 1e-9), corner, ball)
             for a in range(at[0] - 1, at[0] + 2):
                 for b in range(at[1] - 1, at[1] + 2):
                     for c in range(at[2] - 1, at[2] + 2):

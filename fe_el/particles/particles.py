@@ -104,8 +104,12 @@ class Particles:
 
     # -- insertion -------------------------------------------------------------------------------------------------
 
-    def insert_at(self, position, diameter, density=None, velocity=0.0, material=0, coarse_graining=1.0):
+    def insert_at(self, position, diameter, density=None, velocity=0.0, material=0, coarse_graining=1.0, displacement=0.0,
+                  seed=0):
         """Insert particles at positions (particles, 2 or 3) [m], given alike on every rank.
+
+        Each is displaced at random by at most ``displacement`` [m] along each axis: equal beads on a lattice would fall as
+        columns and stand as a cubic stack; a thousandth of the diameter is enough.
 
         ``diameter`` is that of the sphere that collides; with ``coarse_graining`` above 1 it is a parcel's.
         ``material`` is the index (one, or one per particle) into the table of the contact law.
@@ -119,6 +123,7 @@ class Particles:
         """
         x, diameter, density, velocity, material, coarse_graining = insertion.check(
             self, position, diameter, density, velocity, material, coarse_graining)
+        x[:, :self.mesh.topology.dim] += insertion.displacements(len(x), self.mesh.topology.dim, displacement, seed)
         self.reach_halo(3.0 * diameter.max())
         cell = insertion.claim(self, x)
         mine = np.flatnonzero(cell >= 0)
@@ -140,7 +145,8 @@ class Particles:
                       **kind):
         """Insert ``count`` particles at random in a box; ``diameter`` is a number or one per particle [m].
 
-        ``without_overlap``: they overlap neither each other nor particles that are there already.
+        ``without_overlap``: they overlap neither each other nor particles that are there already, and lie wholly inside the
+        boundary of the mesh (planes and cylinders among the walls are not known here).
 
         ``kind``: ``material`` and ``coarse_graining`` as in :meth:`insert_at`.
 
@@ -153,7 +159,8 @@ class Particles:
         lower, upper = insertion.check_box(self, lower, upper)
         require_positive("diameter", diameter)
         there = insertion.spheres_near(self, lower, upper, 0.5 * np.max(diameter)) if without_overlap else None
-        x = insertion.random_positions(lower, upper, count, diameter, seed, without_overlap, self.period, there)
+        near = insertion.boundary_near(self, lower, upper, 0.5 * np.max(diameter)) if without_overlap else None
+        x = insertion.random_positions(lower, upper, count, diameter, seed, without_overlap, self.period, there, near)
         self.insert_at(x, diameter, density, velocity, **kind)
 
     def insert_on_lattice(self, lower, upper, diameter, density=None, velocity=0.0, seed=0, **kind):
