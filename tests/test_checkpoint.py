@@ -233,8 +233,7 @@ def test_the_part_of_a_killed_run_is_removed(tmp_path):
 class Watched:
     """A flow with everything that watches it and chooses its steps."""
 
-    def __init__(self):
-        mesh, _ = fe_el.periodic_box((2 * np.pi, 2 * np.pi), (8, 8))
+    def __init__(self, mesh):
         self.air = fe_el.VolumeAveragedNavierStokes(mesh, None, 1.0, 0.1, tolerance=1e-13)
         self.cycled = fe_el.SubCycled(self.air, 2)
         self.void_fraction = fe_el.Coupling(fe_el.Particles(mesh, 1000.0), self.air.velocity, self.air.pressure, 1.0, 0.1,
@@ -256,12 +255,13 @@ class Watched:
 @pytest.mark.ranks
 def test_observers_sub_cycling_and_adaptive_steps_go_on(folder):
     """Averages, variances, probes and steps of a restarted run are those of the run without a break."""
-    whole = Watched()
+    mesh, _ = fe_el.periodic_box((2 * np.pi, 2 * np.pi), (8, 8))
+    whole = Watched(mesh)
     whole.air.set_initial_velocity(lambda t, x: np.column_stack([np.sin(x[:, 0]) * np.cos(x[:, 1]),
                                                                  -np.cos(x[:, 0]) * np.sin(x[:, 1])]))
     whole.go(6)
     fe_el.save_checkpoint(folder + "/a.h5", *whole.parts)
-    again = Watched()
+    again = Watched(mesh)
     fe_el.load_checkpoint(folder + "/a.h5", *again.parts)
     assert again.cycled.mean_velocity.x.array == pytest.approx(whole.cycled.mean_velocity.x.array, abs=1e-15)
     whole.go(6)
