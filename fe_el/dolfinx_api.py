@@ -103,7 +103,8 @@ def tags_by_vertices(mesh, dimension, entities, values):
     mesh.topology.create_connectivity(dimension, mesh.topology.dim)
     rows = cpp.graph.AdjacencyList_int32(np.ascontiguousarray(entities, np.int32))
     if OLD:
-        return dmesh.meshtags_from_entities(mesh, dimension, rows, values)
+        tags = dmesh.meshtags_from_entities(mesh, dimension, rows, values)
+        return dmesh.meshtags(mesh, dimension, tags.indices, tags.values)  # those of Python take attributes
     return dmesh.MeshTags(cpp.mesh.create_meshtags(mesh.topology._cpp_object, dimension, rows, values))
 
 
