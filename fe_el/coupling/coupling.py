@@ -40,9 +40,9 @@ class Coupling(Maps):
         pressure: its pressure, of the middle of the step, a Function or UFL expression [Pa].
         fluid_density, fluid_viscosity (float): [kg/m^3], [Pa s].
         forces: list of :class:`Drag`, :class:`PressureGradient`, :class:`ViscousStress`, :class:`Buoyancy`,
-            :class:`UndisturbedVelocity`, :class:`AddedMass` (there by itself if particles are less than 1.4
-            times as dense as the fluid), and of own ones:
-            objects that say what they need of the fluid and give a force (see :mod:`fe_el.coupling.fluid_at_particles`).
+            :class:`UndisturbedVelocity`, :class:`AddedMass` (there by itself if particles are less than 1.4 times as dense
+            as the fluid), and of own ones: objects that say what they need of the fluid and give a force (see
+            :mod:`fe_el.coupling.fluid_at_particles`).
         scheme (str): ``conservative``, ``explicit``, ``implicit``, ``implicit_from_force``, ``split`` or
             ``void_cells_explicit``.
         mapping: ``overlap_volume``, ``satellite_points`` (the paper's), ``cfdem_points``, ``particle_centred``, ``hat``,
