@@ -1,6 +1,7 @@
 """Two-way coupling: particles to three cell fields, and the impulse the fluid really gave back to them."""
 import math
 import time
+import warnings
 
 import numpy as np
 from dolfinx import fem
@@ -10,12 +11,13 @@ from fe_el.coupling import mapping as _mapping
 from fe_el.coupling import particle_loops as loops
 from fe_el.coupling.added_mass import AddedMass, AddedMassExchange
 from fe_el.coupling.fields import CellMean, PressureGradientMean
+from fe_el.coupling.fitting import fitting, step_beyond_sense
 from fe_el.coupling.fluid_at_particles import METHODS, AskedOfFluid, FluidAtParticles, check_force, given
 from fe_el.coupling.forces import Buoyancy, Drag, PressureGradient
 from fe_el.coupling.lift_and_torque import Spin
 from fe_el.coupling.maps import Maps
 from fe_el.coupling.over_filled import Spill
-from fe_el.coupling.schemes import Exchange, scheme_of
+from fe_el.coupling.schemes import Exchange, Explicit, scheme_of
 from fe_el.coupling.smoothing import FixedValues
 from fe_el.coupling.undisturbed import OwnVelocity, UndisturbedVelocity
 from fe_el.dolfinx_api import scalar_space, vector_space
@@ -140,8 +142,32 @@ class Coupling(Maps):
         self._cell_size = (math.factorial(d) * cells.volume[:cells.owned] / thickness) ** (1 / d)
         self._dt = None  # of the last to_fluid
         self._kept, self._mapped, self._work, self._none, self.layout = None, None, WorkArrays(), np.zeros((0, d)), None
+        self.steps_to_check = 0  # until the step is checked again; less: never
         self.over_filled, self.over_filled_total, self.solid_volume_error = 0, 0, 0.0
         self.momentum_imbalance, self.max_solid_fraction = 0.0, 0.0
+
+    @classmethod
+    def of(cls, fluid, particles, forces, **kwargs):
+        """The coupling of a fluid and particles that fit each other.
+
+        Velocity, pressure, density and viscosity are the fluid's, and so is the mean of a :class:`PressureGradient` that was
+        given none; of a :class:`SubCycled` fluid the means of its steps.
+
+        Args:
+            fluid: :class:`VolumeAveragedNavierStokes` or :class:`SubCycled`.
+            particles (Particles), forces, kwargs: as for :class:`Coupling`.
+
+        Raises:
+            ValueError: where fluid, particles and forces contradict each other.
+
+        Note:
+            Collective.
+        """
+        flow = getattr(fluid, "fluid", fluid)
+        if flow is not fluid:
+            kwargs = {"mean_velocity": fluid.mean_velocity, **kwargs}
+        pressure, forces = flow.pressure if flow is fluid else fluid.mean_pressure, fitting(flow, particles, forces)
+        return cls(particles, flow.velocity, pressure, flow.density, flow.viscosity, forces, **kwargs)
 
     def _added_mass(self, law, scheme, mean_velocity):
         """The exchange with added mass: if a law is given, or where particles are so light that without one they explode."""
@@ -311,8 +337,21 @@ class Coupling(Maps):
         a, b = self.scheme.fields(self.exchange) if self.added is None else self._fields_with_added_mass(solid)
         if self.reacts:
             b = b + self._reaction()
+        if self.steps_to_check == 0:
+            self._check_step(dt, beta)
+        self.steps_to_check -= 1
         self._set(1, a)
         self._set(2, b)
+
+    def _check_step(self, dt, beta):
+        """Warn once of a step far beyond sense; in the first step and then every hundredth."""
+        p, n = self.particles, self.particles.cells.owned
+        in_cells = self._to_cells(self.volume * beta[:, None])[:, 0] / (self.density * (1 - self.solid[:n, 0]))
+        rates = largest_of(self.comm, in_cells.max(initial=0.0), np.where(p.held, 0.0, beta / p.density).max(initial=0.0))
+        message = step_beyond_sense(dt, *rates, type(self.scheme) is Explicit)
+        self.steps_to_check = -1 if message else 100
+        if message and self.comm.rank == 0:
+            warnings.warn(message, RuntimeWarning, stacklevel=4)
 
     def _fields_with_added_mass(self, solid):
         """The same, and the share of the pressure gradient that particles hand on to the fluid."""

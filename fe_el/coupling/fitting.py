@@ -1,0 +1,49 @@
+"""Whether fluid, particles, forces and the step of a coupling fit each other."""
+import numpy as np
+
+from fe_el.coupling.forces import Buoyancy, PressureGradient, ViscousStress
+
+LARGEST = 1000.0  # relaxation times in a step, beyond which it tells little of what happens in it
+
+
+def fitting(flow, particles, forces):
+    """The forces, with the fluid's mean pressure gradient where none was given.
+
+    Args:
+        flow: a fluid with ``mesh``, ``gravity``, ``mean_pressure_gradient`` and ``stress_of_mixture``.
+
+    Raises:
+        ValueError: where they contradict each other.
+    """
+    d, out = particles.mesh.topology.dim, []
+    down, mean = np.asarray(flow.gravity, float), np.asarray(flow.mean_pressure_gradient, float)
+    if flow.mesh is not particles.mesh:
+        raise ValueError("Fluid and particles live on different meshes; make both with the same one.")
+    if down.any() and not np.array_equal(down, particles.gravity[:d]):
+        raise ValueError(f"Gravity is {down.tolist()} in the fluid and {particles.gravity[:d].tolist()} for the particles; "
+                         "give both the same.")
+    for force in forces:
+        if isinstance(force, Buoyancy) and down.any():
+            raise ValueError("Buoyancy() is for fluids without gravity; this one has it in its pressure: use "
+                             "PressureGradient().")
+        if isinstance(force, ViscousStress) and not flow.stress_of_mixture:
+            raise ValueError("ViscousStress() wants a fluid that carries the whole stress: stress_of_mixture=True.")
+        if isinstance(force, PressureGradient):
+            if force.mean.any() and not np.array_equal(force.mean[:d], mean):
+                raise ValueError(f"The mean pressure gradient is {mean.tolist()} in the fluid and {force.mean[:d].tolist()} "
+                                 "for the particles; leave out the latter.")
+            force = PressureGradient(mean)
+        out.append(force)
+    return out
+
+
+def step_beyond_sense(dt, fluid_rate, particle_rate, explicit):
+    """What is wrong with a step of ``dt`` [s] at the largest rates of relaxation of fluid and particles [1/s]; or None."""
+    if explicit and fluid_rate * dt > 2:
+        return (f"The step of {dt:.3g} s is {fluid_rate * dt:.3g} relaxation times of the fluid in its fullest cell; "
+                f"explicit drag is unstable beyond 2. Use scheme='conservative', or steps below {2 / fluid_rate:.2g} s.")
+    for name, rate in (("fluid", fluid_rate), ("particles", particle_rate)):
+        if rate * dt > LARGEST:
+            return (f"The step of {dt:.3g} s is {rate * dt:.3g} relaxation times of the {name} ({1 / rate:.2g} s). It is "
+                    f"stable, but beyond {LARGEST:g} little of what happens in a step is resolved.")
+    return None
