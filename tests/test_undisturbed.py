@@ -75,6 +75,17 @@ def test_it_fades_in_a_bed():
     assert bed([fe_el.UndisturbedVelocity()]) == pytest.approx(bed([]), rel=5e-3)
 
 
+@pytest.mark.ranks
+def test_momentum_of_scattered_beads():
+    """Most alone in their cells; laws that know the solid fraction."""
+    from tests.test_forces import step, suspension
+    air, beads, coupling = suspension([fe_el.Drag("beetstra"), fe_el.PressureGradient(), fe_el.UndisturbedVelocity()])
+    for _ in range(4):
+        step(air, beads, coupling, 1e-3)
+        assert coupling.momentum_imbalance < 1e-12
+    assert beads.comm.allreduce(float(np.abs(beads.properties["_own_velocity"]).max(initial=0.0))) > 0
+
+
 def test_what_is_not_known_is_refused():
     mesh, _ = fe_el.periodic_box((1.0, 1.0), (3, 3))
     plane, beads = fe_el.VolumeAveragedNavierStokes(mesh), fe_el.Particles(mesh, 1000.0)

@@ -47,7 +47,7 @@ def _leave_out(volume, concentration, solid, slip, share, around):
     """Fill a particle's share (n,) of the solids in its cells, and the solid fraction around it; slip for slip in that."""
     for i in range(len(solid)):
         concentration[i] = min(concentration[i], solid[i] / volume[i])  # over-filled cells hand on the force, too
-        share[i] = volume[i] * concentration[i] / max(solid[i], 1e-300)
+        share[i] = min(volume[i] * concentration[i] / max(solid[i], 1e-300), 1.0)
         around[i] = solid[i] * (1 - share[i] * share[i])
         slip[i] *= (1 - solid[i]) / (1 - around[i])
 
