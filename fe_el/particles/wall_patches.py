@@ -103,9 +103,12 @@ def join_contacts(near, slot, facet, vertex, corner, frame, patch, centre, radiu
     for n in at[:m]:
         if contact[n]:
             share = np.sqrt(work[n, 8] ** 2 + work[n, 9] ** 2 + work[n, 10] ** 2)
+            factor, depth = share / work[n, 5], work[n, 3]
+            if factor > 1:  # a larger overlap in its place: the damping stays that of one contact
+                depth, factor = min(depth * factor ** (1 / 1.5 if hertz else 1.0), 0.9 * radius), 1.0
             for q in range(3):
-                arm[n, q] = (radius - work[n, 3]) * (work[n, 8 + q] / share if share > 0 else work[n, q])
-            work[n, 12] = share / work[n, 5]
+                arm[n, q] = (radius - depth) * (work[n, 8 + q] / share if share > 0 else work[n, q])
+            work[n, 12] = factor
 
 
 @njit(cache=True)
