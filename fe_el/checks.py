@@ -1,6 +1,8 @@
 """Checks of what users give: each returns the argument in its final form, or raises a sentence that says what is allowed."""
 import numpy as np
 
+from fe_el.dolfinx_api import is_of_mesh
+
 
 def numbers(name, value):
     """An array of float; raises ``ValueError`` for text, objects and ragged lists."""
@@ -87,9 +89,7 @@ def require_mesh(mesh):
 
 def same_mesh(name, other, mesh):
     """Raise ``ValueError`` if tags or a Function belong to another mesh than this."""
-    space = getattr(other, "function_space", None)
-    theirs = getattr(other, "mesh", None) if space is None else space.mesh
-    if theirs is not None and theirs is not mesh and getattr(theirs, "topology", 0) is not mesh.topology:
+    if not is_of_mesh(other, mesh):
         raise ValueError(f"The {name} belong to another mesh; pass those of the mesh of the particles.")
 
 

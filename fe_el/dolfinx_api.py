@@ -108,6 +108,16 @@ def tags_by_vertices(mesh, dimension, entities, values):
     return dmesh.MeshTags(cpp.mesh.create_meshtags(mesh.topology._cpp_object, dimension, rows, values))
 
 
+def is_of_mesh(thing, mesh):
+    """Whether mesh tags or a Function belong to a mesh; true for what knows of none, such as an expression."""
+    space = getattr(thing, "function_space", None)
+    theirs = getattr(thing, "mesh", None) if space is None else space.mesh
+    if theirs is mesh:
+        return True
+    theirs, topology = getattr(theirs or thing, "topology", None), mesh.topology
+    return theirs is None or getattr(theirs, "_cpp_object", theirs) is getattr(topology, "_cpp_object", topology)
+
+
 def cells_at(mesh, points):
     """A cell of this rank at each of the points (points, 3), one of those that touch it.
 
