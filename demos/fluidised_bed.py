@@ -32,7 +32,7 @@ def arguments():
     p.add_argument("--slice", type=float, default=1.0, help="fraction of the bed's width, same height")
     p.add_argument("--drag", default="beetstra", help="name of the drag law")
     p.add_argument("--stiffness", type=float, default=500.0, help="contact stiffness [N/m]")
-    p.add_argument("--steps-per-contact", type=int, default=20, help="contact steps in the shortest contact")
+    p.add_argument("--steps-per-contact", type=int, default=12, help="contact steps in the shortest contact")
     p.add_argument("--cell-size", type=float, default=0.0075, help="edge length of the tetrahedra [m]")
     p.add_argument("--output-every", type=float, default=0.05, help="time between ParaView outputs [s]")
     p.add_argument("--checkpoint-every", type=float, help="time between checkpoints, OUTPUT/checkpoint.h5 [s]; absent: none")
@@ -59,7 +59,7 @@ def fill(beads, fraction, seed):
     beads.insert_on_lattice((0, 0, 0), (WIDTH * fraction, DEPTH, 0.98 * HEIGHT), diameter, seed=seed)
 
 
-def assemble(superficial_velocity=1.3, slice=1.0, drag="beetstra", stiffness=500.0, steps_per_contact=20, cell_size=0.0075):
+def assemble(superficial_velocity=1.3, slice=1.0, drag="beetstra", stiffness=500.0, steps_per_contact=12, cell_size=0.0075):
     """Beads (none yet), contacts, fluid and coupling of the bed; no fluid and coupling without a velocity."""
     mesh, _, tags = bed_mesh(slice, cell_size)
     gravity = (0, 0, -GRAVITY)
@@ -121,7 +121,7 @@ class Record:
 
 
 def main(superficial_velocity=1.3, end_time=1.0, time_step=1e-3, slice=1.0, drag="beetstra", stiffness=500.0,
-         steps_per_contact=20, cell_size=0.0075, output_every=0.05, checkpoint_every=None, restart=None, record_every=10,
+         steps_per_contact=12, cell_size=0.0075, output_every=0.05, checkpoint_every=None, restart=None, record_every=10,
          report=False, seed=1, output="out/fluidised_bed", progress=True):
     """Run the bed and return the summary."""
     if not 0 < slice <= 1:
