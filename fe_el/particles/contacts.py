@@ -29,7 +29,7 @@ class Contacts:
             short for ``FacetWalls(facet_tags, groups)``; absent: none.
         wall_law: law of wall contacts; absent: ``law``.
         steps_per_contact (int): sub-steps in the shortest contact. The mean restitution, over pairs that touch at any
-            moment of a sub-step, is within 0.005 of the law's at 12, 0.002 at 20 and 0.0005 at 50.
+            moment of a sub-step, is within 0.005 of the law's at 12, 0.002 at 20 and 0.001 at 50.
         skin (float): reach of the neighbour lists beyond contact [m]; absent: adapted to the motion of each particle.
 
     Attributes:
