@@ -1,6 +1,7 @@
 """Error against wall time of the fluidised bed: over fluid step, contact steps and cell size (``fluidised_bed.py
 --report``)."""
 import csv
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +9,8 @@ from mpi4py import MPI
 
 import fe_el
 
-try:
-    import fluidised_bed
-except ImportError:  # imported as demos.bed_report
-    from demos import fluidised_bed
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from demos import fluidised_bed
 
 SETTINGS = ((1e-4, 50, 0.0075), (1e-4, 20, 0.0075), (2e-4, 20, 0.0075), (5e-4, 20, 0.0075), (1e-3, 50, 0.0075),
             (1e-3, 20, 0.0075),

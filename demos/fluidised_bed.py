@@ -2,6 +2,7 @@
 2003)."""
 import argparse
 import logging
+import sys
 from pathlib import Path
 
 import matplotlib
@@ -10,10 +11,8 @@ from mpi4py import MPI
 
 import fe_el
 
-try:
-    import bed_runs
-except ImportError:  # imported as demos.fluidised_bed
-    from demos import bed_runs
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from demos import bed_runs
 
 matplotlib.use("Agg")
 WIDTH, DEPTH, HEIGHT = 0.15, 0.015, 0.45
@@ -222,10 +221,7 @@ def command(options):
     """What the command line asks for."""
     if not options["report"]:
         return main(**options)
-    try:
-        import bed_report
-    except ImportError:
-        from demos import bed_report
+    from demos import bed_report
     return bed_report.main(options)
 
 

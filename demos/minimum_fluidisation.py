@@ -13,6 +13,7 @@ minutes.
 import argparse
 import csv
 import logging
+import sys
 from pathlib import Path
 
 import matplotlib
@@ -21,10 +22,8 @@ from mpi4py import MPI
 
 import fe_el
 
-try:
-    import bed_runs
-except ImportError:  # imported as demos.minimum_fluidisation
-    from demos import bed_runs
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from demos import bed_runs
 
 matplotlib.use("Agg")
 RADIUS, HEIGHT, GRAVITY = 0.01385, 0.04, 9.81

@@ -16,6 +16,7 @@ A run of 5 s takes about six minutes for each drag law and velocity.
 import argparse
 import csv
 import logging
+import sys
 from pathlib import Path
 
 import matplotlib
@@ -24,10 +25,8 @@ from mpi4py import MPI
 
 import fe_el
 
-try:
-    import bed_runs
-except ImportError:  # imported as demos.mri_bed
-    from demos import bed_runs
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from demos import bed_runs
 
 matplotlib.use("Agg")
 WIDTH, DEPTH, HEIGHT, NUMBER, DIAMETER = 0.044, 0.01, 0.12, 9240, 1.2e-3

@@ -19,30 +19,40 @@ import importlib.metadata
 
 from fe_el import dolfinx_api  # noqa: F401 (says at once when dolfinx is missing)
 
-_HOME = {
-    "VolumeAveragedNavierStokes": "fluid.volume_averaged_navier_stokes", "SolverDiverged": "fluid.linear_solver",
-    "Scalar": "fluid.scalar", "Probe": "fluid.observers", "TimeAverage": "fluid.observers", "ramp": "fluid.boundary_values",
-    "Smagorinsky": "fluid.turbulence", "Vreman": "fluid.turbulence", "Wale": "fluid.turbulence",
-    "SubCycled": "fluid.sub_cycling", "Spalding": "fluid.wall_laws", "Streamline": "fluid.stabilisation",
-         "Upwind": "fluid.stabilisation",
-    "Particles": "particles.particles", "LostParticle": "particles.particles", "Contacts": "particles.contacts",
-    "LinearSpringDashpot": "particles.contact_laws", "HertzMindlin": "particles.contact_laws",
-    "RollingFriction": "particles.contact_laws", "ArrayLaw": "particles.array_law", "Inlet": "particles.open_boundaries",
-    "FacetWalls": "particles.wall_shapes",
-    "PlaneWall": "particles.wall_shapes", "CylinderWall": "particles.wall_shapes",
-    "Coupling": "coupling.coupling", "Drag": "coupling.forces",
-    "PressureGradient": "coupling.forces", "ViscousStress": "coupling.forces", "Buoyancy": "coupling.forces",
-    "SaffmanLift": "coupling.lift_and_torque", "MagnusLift": "coupling.lift_and_torque",
-    "Torque": "coupling.lift_and_torque", "AddedMass": "coupling.added_mass",
-    "UndisturbedVelocity": "coupling.undisturbed",
-    "HelmholtzSmoothing": "coupling.smoothing", "PatchAverage": "coupling.smoothing", "SatellitePoints": "coupling.mapping",
-    "ParticleCentred": "coupling.mapping", "HatKernel": "coupling.mapping", "WellMixed": "coupling.mapping",
-    "OverlapVolume": "coupling.overlap",
-    "read_mesh": "gmsh_files", "mesh_geo": "gmsh_files", "box": "box_mesh", "periodic_box": "periodic_mesh",
-    "time_steps": "output", "adaptive_steps": "output", "ParaViewOutput": "output", "write_summary": "output",
-    "stage_seconds": "output", "save_checkpoint": "checkpoint", "load_checkpoint": "checkpoint",
-    "StopAndSave": "stopping",
+_NAMES = {
+    "coupling.added_mass": "AddedMass",
+    "coupling.coupling": "Coupling",
+    "coupling.forces": "Drag PressureGradient ViscousStress Buoyancy",
+    "coupling.lift_and_torque": "SaffmanLift MagnusLift Torque",
+    "coupling.mapping": "SatellitePoints ParticleCentred HatKernel WellMixed",
+    "coupling.overlap": "OverlapVolume",
+    "coupling.smoothing": "HelmholtzSmoothing PatchAverage",
+    "coupling.undisturbed": "UndisturbedVelocity",
+    "fluid.boundary_values": "ramp",
+    "fluid.scalar": "Scalar",
+    "fluid.stabilisation": "Streamline Upwind",
+    "fluid.sub_cycling": "SubCycled",
+    "fluid.turbulence": "Smagorinsky Vreman Wale",
+    "fluid.volume_averaged_navier_stokes": "VolumeAveragedNavierStokes",
+    "fluid.wall_laws": "Spalding",
+    "mesh.box_mesh": "box",
+    "mesh.gmsh_files": "read_mesh mesh_geo",
+    "mesh.periodic_mesh": "periodic_box",
+    "nodes.linear_solver": "SolverDiverged",
+    "particles.contacts.array_law": "ArrayLaw",
+    "particles.contacts.contact_laws": "LinearSpringDashpot HertzMindlin RollingFriction",
+    "particles.contacts.contacts": "Contacts",
+    "particles.contacts.wall_shapes": "FacetWalls PlaneWall CylinderWall",
+    "particles.open_boundaries": "Inlet",
+    "particles.particles": "Particles LostParticle",
+    "run.checkpoint": "save_checkpoint load_checkpoint",
+    "run.observers": "Probe TimeAverage",
+    "run.paraview": "ParaViewOutput",
+    "run.stopping": "StopAndSave",
+    "run.summary": "write_summary stage_seconds",
+    "run.time_steps": "time_steps adaptive_steps",
 }
+_HOME = {name: module for module, names in _NAMES.items() for name in names.split()}
 _MODULES = ("drag_laws", "time_scales", "schemes", "mapping")
 __all__ = list(_HOME) + list(_MODULES)
 
@@ -55,3 +65,7 @@ def __getattr__(name):
     if name not in _HOME:
         raise AttributeError(f"fe_el has no {name!r}; it has {', '.join(sorted(__all__))}.")
     return getattr(importlib.import_module("fe_el." + _HOME[name]), name)
+
+
+def __dir__():
+    return sorted([*__all__, "__version__", "__doc__"])

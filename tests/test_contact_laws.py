@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 import fe_el
-from fe_el.particles.neighbours import neighbour_pairs
+from fe_el.particles.contacts.neighbours import neighbour_pairs
 
 RHO, D = 2500.0, 2e-3
 

@@ -3,8 +3,8 @@ import numpy as np
 import pytest
 
 import fe_el
-from fe_el.particles import waves
-from fe_el.particles.contact_lists import ContactLists
+from fe_el.particles.contacts import waves
+from fe_el.particles.contacts.contact_lists import ContactLists
 
 
 def two_spheres(restitution, friction=0.0, velocity=0.5, offset=0.0, steps=50):

@@ -6,7 +6,8 @@ from mpi4py import MPI
 
 import fe_el
 from fe_el.dolfinx_api import create_mesh
-from fe_el.particles.wall_patches import smooth_patches
+from fe_el.mesh.cell_mesh import boundary_facets
+from fe_el.particles.contacts.wall_patches import smooth_patches
 
 D, RHO, K = 0.01, 2500.0, 1e4
 MASS = RHO * np.pi / 6 * D ** 3
@@ -156,19 +157,19 @@ def test_true_edges_and_corners_keep_their_contacts():
 
 def test_patches_end_at_sharp_edges():
     mesh, tags = fe_el.box((1.0, 1.0, 1.0), (3, 3, 3))
-    corner, vertex, _ = fe_el.mesh.boundary_facets(mesh, tags, (1, 2, 3, 4, 5, 6))
+    corner, vertex, _ = boundary_facets(mesh, tags, (1, 2, 3, 4, 5, 6))
     patch, meeting = smooth_patches(corner, vertex)
     assert len(np.unique(patch[:, 0])) == 6 and not patch[:, 1].any() and meeting == 3
     for sides, pieces in ((6, 6), (16, 1)):
         mesh, tags = pipe(1.0, sides, 1.0)
-        patch, meeting = smooth_patches(*fe_el.mesh.boundary_facets(mesh, tags, 3)[:2])
+        patch, meeting = smooth_patches(*boundary_facets(mesh, tags, 3)[:2])
         assert len(np.unique(patch[:, 0])) == pieces and meeting == (2 if pieces > 1 else 1)
 
 
 def test_sub_steps_know_how_many_sharp_sides_meet():
     """In the tip of a pyramid of eight steep sides (45 degrees and more between them) eight contacts add up."""
     mesh, tags = cone(8, 20)
-    patch, meeting = smooth_patches(*fe_el.mesh.boundary_facets(mesh, tags, 3)[:2])
+    patch, meeting = smooth_patches(*boundary_facets(mesh, tags, 3)[:2])
     assert meeting == len(np.unique(patch[:, 0])) == 8
     p = fe_el.Particles(mesh, RHO)
     p.insert_at([(0, 0, 0.05)], D)

@@ -6,26 +6,19 @@ import pytest
 
 import fe_el
 from demos import (
-    bed_against_dpmfoam,
     bed_report,
     bed_runs,
-    contact_speed,
-    contacts_against_peers,
     contacts_only,
-    error_against_run_time,
     flow_past_cylinder,
-    fluid_error,
-    fluid_speed,
     fluidised_bed,
-    ico_foam,
     minimum_fluidisation,
     mri_bed,
     own_weak_form,
     sedimenting_suspension,
-    stability_map,
-    suspension_against_dpmfoam,
     time_scales,
 )
+from demos.benchmarks import contact_speed, error_against_run_time, fluid_error, fluid_speed, stability_map
+from demos.peers import bed_against_dpmfoam, contacts_against_peers, ico_foam, suspension_against_dpmfoam
 
 
 @pytest.mark.ranks
@@ -116,7 +109,7 @@ def test_dry_bed_imports_no_fluid(tmp_path_factory):
             "assert not any(m.startswith(('fe_el.fluid', 'fe_el.coupling')) for m in sys.modules)")
     from mpi4py import MPI
 
-    from fe_el.failures import environment_outside_mpirun
+    from fe_el.parallel.failures import environment_outside_mpirun
     if MPI.COMM_WORLD.rank == 0:
         from pathlib import Path
         subprocess.run([sys.executable, "-c", code], check=True, env=environment_outside_mpirun(),

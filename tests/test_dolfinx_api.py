@@ -55,7 +55,7 @@ def test_a_mesh_from_arrays_has_ghosts_tags_and_spaces(slices_along):
     facets = np.unique(np.sort(facets[(x[facets, 0] == 1.0).all(1)], 1), axis=0)
     if comm.rank:
         cells, x, facets = cells[:0], x[:0], facets[:0]
-    from fe_el.partition import create_mesh
+    from fe_el.mesh.partition import create_mesh
     mesh = create_mesh(comm, cells, x, slices_along)
     tags = api.tags_by_vertices(mesh, 2, facets, np.full(len(facets), 7))
     fe_el.Particles(mesh, 1.0)

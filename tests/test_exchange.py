@@ -5,7 +5,7 @@ from mpi4py import MPI
 
 import fe_el
 from fe_el.dolfinx_api import scalar_space
-from fe_el.exchange import Halo
+from fe_el.parallel.exchange import Halo
 
 COMM = MPI.COMM_WORLD
 

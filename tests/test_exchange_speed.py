@@ -1,5 +1,5 @@
 """The demo of the exchange's speed, small."""
-from demos import exchange_speed
+from demos.benchmarks import exchange_speed
 
 
 def test_exchange_speed(folder):

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from fe_el.failures import environment_outside_mpirun
+from fe_el.parallel.failures import environment_outside_mpirun
 
 SCENE = """
 import sys

@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 import fe_el
 from fe_el.dolfinx_api import scalar_space, vector_space
-from fe_el.fluid.linear_solver import NodalMatrix
+from fe_el.nodes.nodal_matrix import NodalMatrix
 
 
 @pytest.mark.ranks

@@ -8,7 +8,7 @@ import fe_el
 from fe_el.coupling import overlap
 from fe_el.coupling.over_filled import Spill
 from fe_el.coupling.overlap import OverlapVolume
-from fe_el.mesh import by_place
+from fe_el.mesh.cell_mesh import by_place
 from fe_el.particles.location import walk
 
 

@@ -145,7 +145,7 @@ def test_fluid_and_particles_never_import_each_other():
     from pathlib import Path
     root = Path(fe_el.__file__).parent
     for folder, other in (("fluid", "particles"), ("particles", "fluid")):
-        for file in (root / folder).glob("*.py"):
+        for file in (root / folder).glob("**/*.py"):
             text = file.read_text()
             assert f"fe_el.{other}" not in text and f"fe_el import {other}" not in text, file
 

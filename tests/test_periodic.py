@@ -8,7 +8,7 @@ import fe_el
 from demos.sedimenting_suspension import Suspension
 from fe_el import time_scales
 from fe_el.dolfinx_api import geometry_nodes
-from fe_el.mesh import cell_mesh
+from fe_el.mesh.cell_mesh import cell_mesh
 
 BOXES = [((1.0, 2.0, 0.5), (4, 6, 3), None), ((1.0, 2.0, 0.5), (4, 6, 3), (True, False, True)), ((1.0, 2.0), (4, 6), None),
          ((1.0, 2.0), (4, 6), (False, True))]

@@ -9,7 +9,7 @@ from fe_el.coupling.smoothing import FixedValues
 
 
 def cells_of(mesh):
-    from fe_el.mesh import owned_corners
+    from fe_el.mesh.cell_mesh import owned_corners
     return owned_corners(mesh)[0].mean(1)
 
 
@@ -23,7 +23,7 @@ def smoothings(mesh, length):
 def test_smoothing_keeps_integrals_and_is_self_adjoint(which, periodic):
     mesh, _ = (fe_el.periodic_box if periodic else fe_el.box)((1.0, 1.0, 2.0), (5, 5, 10))
     smooth = smoothings(mesh, 0.4)[which]
-    rng, volume = np.random.default_rng(mesh.comm.rank), smooth.nodes.measure
+    rng, volume = np.random.default_rng(mesh.comm.rank), smooth.nodes.volume
     a, b = rng.normal(size=(len(volume), 2)), rng.normal(size=(len(volume), 2))
     total = lambda x: mesh.comm.allreduce(x)
     assert np.allclose(total(volume @ smooth(a)), total(volume @ a), rtol=0, atol=1e-12)
@@ -40,7 +40,7 @@ def test_smoothing_does_not_depend_on_ranks(tmp_path):
     mesh, _ = fe_el.box((1.0, 1.0), (40, 40))
     smooth, x = fe_el.HelmholtzSmoothing(mesh, 0.05, tolerance=1e-8), cells_of(mesh)
     source = (np.abs(x[:, :2] - 0.5).max(1) < 0.026).astype(float)[:, None]
-    volume, moment = smooth.nodes.measure, lambda f: mesh.comm.allreduce(
+    volume, moment = smooth.nodes.volume, lambda f: mesh.comm.allreduce(
         (volume * f[:, 0]) @ (x[:, :2] - 0.5) ** 2) / mesh.comm.allreduce(volume @ f[:, 0])
     # cells to nodes adds about h^2 / 6
     assert np.allclose(moment(smooth(source)) - moment(source), 2 * 0.05 ** 2, rtol=0.12)
@@ -54,7 +54,7 @@ def test_point_source_gives_the_yukawa_profile():
         smooth, x = fe_el.HelmholtzSmoothing(mesh, length, tolerance=1e-8), cells_of(mesh)
         r = np.linalg.norm(x - 0.5, axis=1)
         source = np.where(r < r.min() * 1.01, 1.0, 0.0)[:, None]
-        result = smooth(source / (smooth.nodes.measure @ source[:, 0]))[:, 0]
+        result = smooth(source / (smooth.nodes.volume @ source[:, 0]))[:, 0]
         ring = (r > 1.5 * length) & (r < 3.5 * length)
         ratio = result[ring] / (np.exp(-r / length) / (4 * np.pi * length ** 2 * r))[ring]
         errors.append(abs(np.median(ratio) - 1))

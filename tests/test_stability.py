@@ -1,8 +1,8 @@
-"""The energy of an unforced fluid never grows, far outside the ordinary range (all of it: demos/stability_map.py)."""
+"""The energy of an unforced fluid never grows, far outside the ordinary range (demos/benchmarks/stability_map.py: all)."""
 import numpy as np
 import pytest
 
-from demos.stability_scenes import Scene, least_angle
+from demos.benchmarks.stability_scenes import Scene, least_angle
 
 STEPS, ROUGH, SMOOTH = 200, 0.3, 0.0
 

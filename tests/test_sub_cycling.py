@@ -7,9 +7,10 @@ from dolfinx import fem
 from mpi4py import MPI
 
 import fe_el
-from demos import error_against_run_time
+from demos.benchmarks import error_against_run_time
 from demos.sedimenting_suspension import Suspension
 from fe_el.dolfinx_api import scalar_space, vector_space
+from fe_el.mesh.cell_mesh import owned_corners
 
 D, RHO_P, MU = 150e-6, 1500.0, 1.8e-5
 
@@ -152,7 +153,7 @@ def test_particles_are_mapped_where_they_will_be():
                               [fe_el.Drag("stokes")], mapping="particle_centred", positions="middle")
     coupling.to_fluid(4.0)
     n = beads.cells.owned
-    solid, centre = coupling.solid[:n, 0] * beads.cells.volume[:n], fe_el.mesh.owned_corners(mesh)[0].mean(1)
+    solid, centre = coupling.solid[:n, 0] * beads.cells.volume[:n], owned_corners(mesh)[0].mean(1)
     where = mesh.comm.allreduce(np.array([solid[(centre[:, 0] > x) & (centre[:, 0] < x + 1)].sum() for x in range(4)]))
     assert where / (np.pi / 6e6) == pytest.approx([0, 0, 1, 1])
 

@@ -32,9 +32,9 @@ s (C + 1 - s) < 2 (1 - s) C is stable for massless particles: for C = 1/2 up to 
 import math
 
 import numpy as np
-from numba import njit
 
-from fe_el.fluid.work_arrays import WorkArrays
+from fe_el.compiled.cache import njit
+from fe_el.nodes.work_arrays import WorkArrays
 
 
 class AddedMass:
@@ -60,7 +60,7 @@ class AddedMass:
         return 0.5 * fluid_density * (1 + 2 * solid) / (1 - solid)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def relaxation(a):
     """m = (1 - exp(-a)) / a, 1 - m, and lag = 1 / (1 - exp(-a)) - 1 / a."""
     if a < 1e-3:
@@ -69,7 +69,7 @@ def relaxation(a):
     return part / a, 1 - part / a, 1 / part - 1 / a
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _rows(dt, pressed, volume, density, added, beta, velocity, known, contact, carried, rate, rows):
     """Fill V K, V P and V f_0 (n, 2 + d), and the rates of relaxation (n,) [1/s]; densities are infinite if held.
 
@@ -96,7 +96,7 @@ def _rows(dt, pressed, volume, density, added, beta, velocity, known, contact, c
                 - handed * (v * known[i, k] - contact[i, k])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _forces(dt, volume, density, added, beta, velocity, known, contact, carried, rows, gravity, fluid, slope, given, force,
             foreseen):
     """What fluid and pressure give (n, d), the force that moves particle and added mass (n, 3), and what is foreseen.

@@ -21,8 +21,8 @@ from fe_el.coupling.schemes import Exchange, Explicit, scheme_of
 from fe_el.coupling.smoothing import FixedValues
 from fe_el.coupling.undisturbed import OwnVelocity, UndisturbedVelocity
 from fe_el.dolfinx_api import scalar_space, vector_space
-from fe_el.exchange import largest_of, raise_everywhere, sums_of
-from fe_el.fluid.work_arrays import WorkArrays
+from fe_el.nodes.work_arrays import WorkArrays
+from fe_el.parallel.exchange import largest_of, raise_everywhere, sums_of
 
 LIQUID = 0.1  # density of a fluid over that of the particles, from which its answer to displaced volume drives them
 

@@ -2,8 +2,8 @@
 import numpy as np
 import ufl
 from dolfinx import fem
-from numba import njit
 
+from fe_el.compiled.cache import njit
 from fe_el.dolfinx_api import dof_table, element_of, scalar_space
 
 
@@ -33,7 +33,7 @@ class CellMean:
         return np.column_stack([fem.petsc.assemble_vector(f).array / self.volume for f in self.forms])
 
 
-@njit(cache=True)
+@njit
 def _slopes(gradient, values, dofs, out):
     """Gradients (cells, d) of a P1 field."""
     for c in range(len(dofs)):

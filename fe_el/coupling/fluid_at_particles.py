@@ -14,7 +14,7 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 
 from fe_el.coupling.smoothing import Nodes
-from fe_el.exchange import raise_everywhere
+from fe_el.parallel.exchange import raise_everywhere
 
 METHODS = ("force", "drag_coefficient", "spin")
 
@@ -147,21 +147,21 @@ class VelocityGradient:
 
     def __init__(self, mesh):
         self.nodes = nodes = Nodes(mesh)
-        self.mass = nodes.halo.forward(nodes.load(np.ones((len(nodes.dofs), 1))))
+        self.mass = nodes.node_halo.forward(nodes.load(np.ones((len(nodes.dofs), 1))))
         m, d = nodes.dofs.shape[1], nodes.gradient.shape[2]
         edges = np.linalg.inv(nodes.gradient[:, 1:]).transpose(0, 2, 1)  # from the first vertex to the others
         corner = np.concatenate([np.zeros((len(edges), 1, d)), edges], 1)
         way = corner.mean(1, keepdims=True) - corner
-        total = np.zeros((nodes.number, d))
-        np.add.at(total, nodes.dofs, way * (nodes.measure / m)[:, None, None])
-        nodes.halo.complete(total)
+        total = np.zeros((nodes.nodes, d))
+        np.add.at(total, nodes.dofs, way * (nodes.volume / m)[:, None, None])
+        nodes.node_halo.complete(total)
         away = (total / self.mass)[nodes.dofs]
         self.inverse = np.linalg.inv(np.eye(d) + np.einsum("cik,cil->ckl", away, nodes.gradient))
 
     def __call__(self, velocity):
         """(owned cells, d, d) du_k/dx_l [1/s]."""
         nodes = self.nodes
-        u = (nodes.halo.forward(nodes.load(velocity)) / self.mass)[nodes.dofs]
+        u = (nodes.node_halo.forward(nodes.load(velocity)) / self.mass)[nodes.dofs]
         return np.einsum("cik,cim,cml->ckl", u, nodes.gradient, self.inverse, optimize=True)
 
 
@@ -170,25 +170,25 @@ class ViscousStressMean:
 
     def __init__(self, mesh, viscosity):
         self.nodes, self.viscosity = Nodes(mesh), viscosity
-        self.mass = self.nodes.halo.forward(self.nodes.load(np.ones((len(self.nodes.dofs), 1))))
+        self.mass = self.nodes.node_halo.forward(self.nodes.load(np.ones((len(self.nodes.dofs), 1))))
         self.inside = inner_nodes(self.nodes, mesh)
 
     def __call__(self, velocity):
         """(owned cells, d) [N/m^3]."""
         nodes = self.nodes
-        u = nodes.halo.forward(nodes.load(velocity)) / self.mass
+        u = nodes.node_halo.forward(nodes.load(velocity)) / self.mass
         slope = np.einsum("cik,cid->ckd", nodes.gradient, u[nodes.dofs])
-        flux = np.einsum("cik,ckd,c->cid", nodes.gradient, slope, nodes.measure)
+        flux = np.einsum("cik,ckd,c->cid", nodes.gradient, slope, nodes.volume)
         out = np.zeros_like(u)
         np.add.at(out, nodes.dofs, -self.viscosity * flux)
-        nodes.halo.complete(out)
+        nodes.node_halo.complete(out)
         return nodes.means(np.where(self.inside[:, None], out / self.mass, 0.0))
 
 
 def inner_nodes(nodes, mesh):
     """(nodes,) whether a node lies off the boundary. Collective."""
-    mark, d = np.zeros(nodes.number), mesh.topology.dim
+    mark, d = np.zeros(nodes.nodes), mesh.topology.dim
     mesh.topology.create_connectivity(d - 1, d)
     outer = dmesh.exterior_facet_indices(mesh.topology)
     mark[fem.locate_dofs_topological(nodes.space, d - 1, outer)] = 1.0
-    return nodes.halo.forward(nodes.halo.reverse_add(mark)) == 0
+    return nodes.node_halo.forward(nodes.node_halo.reverse_add(mark)) == 0

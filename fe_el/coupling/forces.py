@@ -3,17 +3,17 @@
 import inspect
 
 import numpy as np
-from numba import njit
 
+from fe_el.compiled.cache import njit
 from fe_el.coupling import drag_laws
 
 
-@njit(cache=True)
+@njit
 def _reynolds(solid, slip, diameter, density, viscosity):
     return density / viscosity * (1 - solid) * slip * diameter
 
 
-@njit(cache=True)
+@njit
 def _coefficient(drag, solid, diameter, viscosity):
     return 18 * viscosity * (1 - solid) * drag / (diameter * diameter)
 

@@ -98,7 +98,7 @@ class Spin:
     def __init__(self, mesh, forces):
         self.forces, self.nodes = forces, Nodes(mesh)
         nodes = self.nodes
-        self.mass = nodes.halo.forward(nodes.load(np.ones((len(nodes.dofs), 1))))
+        self.mass = nodes.node_halo.forward(nodes.load(np.ones((len(nodes.dofs), 1))))
         self.inside = inner_nodes(nodes, mesh)
 
     def over_step(self, fluid):
@@ -115,7 +115,7 @@ class Spin:
     def force_of(self, couple):
         """Force density (owned cells, d) of a couple per volume (owned cells, 3) [N m / m^3]."""
         nodes, d = self.nodes, self.nodes.gradient.shape[2]
-        t = nodes.halo.forward(nodes.load(couple)) / self.mass
+        t = nodes.node_halo.forward(nodes.load(couple)) / self.mass
         slope = np.einsum("cik,cil->ckl", nodes.gradient, np.where(self.inside[:, None], t, 0.0)[nodes.dofs])  # dt_l/dx_k
         if d == 2:
             return 0.5 * np.column_stack([slope[:, 1, 2], -slope[:, 0, 2]])

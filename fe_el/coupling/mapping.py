@@ -2,8 +2,8 @@
 one."""
 import numpy as np
 from mpi4py import MPI
-from numba import njit
 
+from fe_el.compiled.cache import njit
 from fe_el.coupling.overlap import OverlapVolume
 from fe_el.coupling.shares import ListedShares
 from fe_el.particles.location import INSIDE, walk
@@ -28,7 +28,7 @@ def cfdem_points():
     return np.vstack([np.zeros((1, 3)), INNER * directions, OUTER * directions])
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def _cut_facets(barycentric, c, x, y, z, r, cut, at):
     """Facets of cell c that a sphere reaches, and the barycentric coordinate of its centre there; returns their number."""
     cuts = 0
@@ -40,7 +40,7 @@ def _cut_facets(barycentric, c, x, y, z, r, cut, at):
     return cuts
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def _inside(barycentric, c, x, y, z):
     """Whether a point is in cell c, without a branch."""
     inside = True
@@ -50,7 +50,7 @@ def _inside(barycentric, c, x, y, z):
     return inside
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def _outside(barycentric, c, r, points, cuts, cut, at, low, out, facet):
     """Points of a sphere outside its cell: fills ``out`` and the facet that each is farthest beyond; returns their
     number."""
@@ -72,7 +72,7 @@ def _outside(barycentric, c, r, points, cuts, cut, at, low, out, facet):
     return number
 
 
-@njit(cache=True)
+@njit
 def _shares(barycentric, neighbour, shift, cell, position, radius, points, start, cells, weights):
     """Fill the shares; points (3, points), in radii, that lie outside the domain do not count."""
     number, here, m, size = 0, np.empty(3), barycentric.shape[1], points.shape[1]
@@ -155,7 +155,7 @@ class ParticleCentred(SatellitePoints):
         super().__init__(np.zeros((1, 3)))
 
 
-@njit(cache=True)
+@njit
 def _coordinates(barycentric, cell, position, out):
     for i in range(len(cell)):
         total = 0.0
@@ -167,7 +167,7 @@ def _coordinates(barycentric, cell, position, out):
             out[i, f] /= total
 
 
-@njit(cache=True)
+@njit
 def _to_vertices(vertex, cell, weight, quantity, out):
     for i in range(len(cell)):
         for f in range(weight.shape[1]):
@@ -175,7 +175,7 @@ def _to_vertices(vertex, cell, weight, quantity, out):
                 out[vertex[cell[i], f], k] += weight[i, f] * quantity[i, k]
 
 
-@njit(cache=True)
+@njit
 def _at_vertices(vertex, cell, weight, values, out):
     for i in range(len(cell)):
         for k in range(values.shape[1]):
@@ -185,7 +185,7 @@ def _at_vertices(vertex, cell, weight, values, out):
             out[i, k] = total
 
 
-@njit(cache=True)
+@njit
 def cells_to_vertices(vertex, volume, patch, field, out):
     """Volume-weighted means of a cell field around each vertex."""
     for c in range(len(volume)):
@@ -194,7 +194,7 @@ def cells_to_vertices(vertex, volume, patch, field, out):
                 out[vertex[c, f], k] += volume[c] / patch[vertex[c, f]] * field[c, k]
 
 
-@njit(cache=True)
+@njit
 def _vertices_to_cells(vertex, volume, patch, values, out):
     for c in range(len(volume)):
         for f in range(vertex.shape[1]):

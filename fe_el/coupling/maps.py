@@ -3,7 +3,7 @@ import time
 
 import numpy as np
 
-from fe_el.exchange import raise_everywhere
+from fe_el.parallel.exchange import raise_everywhere
 
 
 class Maps:

@@ -8,15 +8,15 @@ hands on is, in the order of the potential, a fraction of all that it ever held.
 """
 import numpy as np
 from mpi4py import MPI
-from numba import njit
 
-from fe_el.exchange import raise_everywhere, sums_of
+from fe_el.compiled.cache import njit
+from fe_el.parallel.exchange import raise_everywhere, sums_of
 
 ROUND_OFF = 1e-13  # of what a cell may hold
 ITERATIONS = 5000  # of conjugate gradients, for one set of full cells
 
 
-@njit(cache=True)
+@njit
 def _conductance(barycentric, neighbour, volume, rows, g):
     """Area over distance of the cells of ``rows`` and their neighbours: (rows, d+1), from heights and volumes."""
     d = neighbour.shape[1] - 1
@@ -28,7 +28,7 @@ def _conductance(barycentric, neighbour, volume, rows, g):
             g[k, f] = area * area * (d + 1) / (d * (volume[c] + volume[n])) if n >= 0 else 0.0
 
 
-@njit(cache=True)
+@njit
 def _outflow(neighbour, rows, g, s, out):
     """Fluxes out of the cells of ``rows`` at potential s; returns their product with s."""
     total = 0.0
@@ -42,7 +42,7 @@ def _outflow(neighbour, rows, g, s, out):
     return total
 
 
-@njit(cache=True)
+@njit
 def _descend(rows, step, direction, change, diagonal, largest, s, residual, sums):
     """A step of conjugate gradients; ``sums``: residual times preconditioned residual, and squared residual over limit."""
     sums[:] = 0.0
@@ -53,13 +53,13 @@ def _descend(rows, step, direction, change, diagonal, largest, s, residual, sums
         sums[1] += (residual[k] / largest[rows[k]]) ** 2
 
 
-@njit(cache=True)
+@njit
 def _turn(rows, ratio, residual, diagonal, direction):
     for k in range(len(rows)):
         direction[rows[k]] = residual[k] / diagonal[k] + ratio * direction[rows[k]]
 
 
-@njit(cache=True)
+@njit
 def _fill_neighbours(neighbour, rows, g, s, content, limit, full):
     """Mark cells of ``rows`` that the fluxes into them over-fill; returns how many."""
     new = 0
@@ -76,7 +76,7 @@ def _fill_neighbours(neighbour, rows, g, s, content, limit, full):
     return new
 
 
-@njit(cache=True)
+@njit
 def _ready_moves(neighbour, rows, g, s, content, done, source, target, fraction):
     """Moves out of the cells of ``rows``, by falling potential, that have all they will ever hold; returns their number."""
     moves = 0
@@ -98,7 +98,7 @@ def _ready_moves(neighbour, rows, g, s, content, done, source, target, fraction)
     return moves
 
 
-@njit(cache=True)
+@njit
 def _apply(source, target, fraction, field):
     """Moves of a field, in place, one source after the other."""
     for k in range(field.shape[1]):
@@ -110,7 +110,7 @@ def _apply(source, target, fraction, field):
             field[target[m], k] += fraction[m] * whole
 
 
-@njit(cache=True)
+@njit
 def _apply_transpose(source, target, fraction, field):
     """Transpose of :func:`_apply`."""
     for k in range(field.shape[1]):

@@ -1,10 +1,10 @@
 """Volume that a sphere has in each cell: exact, from the parts of the sphere beyond the facets that it touches."""
 import numpy as np
-from numba import njit
 
-from fe_el.borrowed import borrowed
+from fe_el.compiled.borrowed import borrowed
+from fe_el.compiled.cache import njit
+from fe_el.compiled.direct_calls import Direct
 from fe_el.coupling.shares import ListedShares, in_order
-from fe_el.direct_calls import Direct
 from fe_el.particles.location import MANY, curve_through, order_by_cell
 
 FAST = {"contract", "reassoc", "nsz", "arcp"}
@@ -33,7 +33,7 @@ def _arctangent_series(terms=10):
 C0, C1, C2, C3, C4, C5, C6, C7, C8, C9 = _arctangent_series()
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def _angle(y, x):
     """Angle of the vector (x, y), with y not negative, from the x axis: 0 to pi."""
     a = abs(x)
@@ -70,7 +70,7 @@ def cell_records(cells):
     return out.ravel(), neighbour.ravel()
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
+@njit(fastmath=FAST, error_model="numpy", inline="always")
 def _visit(record, neighbour, shift, slot, place, r, number, shares, notes, count, e):
     """Walk from a sphere's cell through the facets that it touches; what a facet's edges take is left to be done.
 
@@ -137,7 +137,7 @@ def _visit(record, neighbour, shift, slot, place, r, number, shares, notes, coun
     return known if fits else U(0), count, e
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def _place_edges(corner, geometry, cut, code, edge, number):
     """Complete ``edge``: distances of the plane, and of the edge from the foot of the centre, where it begins and ends from
     there, times its length over the radius, and the square of the length."""
@@ -154,7 +154,7 @@ def _place_edges(corner, geometry, cut, code, edge, number):
             edge[2, e], edge[3, e], edge[4, e] = along * geometry[k, 4], (along + square) * geometry[k, 4], square
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def _take_edges(edge, cut, code, number, weight):
     """Give back what of the part beyond each facet's plane lies beyond its edges: that in the cone through it is left.
 
@@ -181,7 +181,7 @@ def _take_edges(edge, cut, code, number, weight):
         weight[cut[k, 2]] -= edge[0, e]
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def _keep_parts(raw, first, last, start, index, weight):
     """Shares of the spheres first to last from their parts in the cells, which stand from raw[k] on."""
     end = U(start[first])
@@ -201,7 +201,7 @@ def _keep_parts(raw, first, last, start, index, weight):
         start[first + i + 1] = end
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(fastmath=FAST, error_model="numpy")
 def overlap_shares(cells, slot, place, scratch, spheres, first, start, index, weight):
     """Fill the shares of the spheres from ``first`` on; returns the first that did not fit into ``index`` or ``place``.
 

@@ -6,14 +6,14 @@ the compiler would make short vectors of others, which takes longer than the num
 import math
 
 import numpy as np
-from numba import njit
 
+from fe_el.compiled.cache import njit
 from fe_el.particles.motion import BLOCK, relaxations
 
 # Particles are added up by blocks before the total: round-off grows with the root of their number only.
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def volumes(diameter, volume):
     """Fill the volumes (n, 1); returns their sum."""
     total = 0.0
@@ -26,7 +26,7 @@ def volumes(diameter, volume):
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def largest_courant(velocity, size, dt):
     """Largest Courant number of cells with the velocities (cells, d) and sizes (cells,)."""
     largest = 0.0
@@ -39,7 +39,7 @@ def largest_courant(velocity, size, dt):
     return dt * math.sqrt(largest)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def fluid_at_particles(mean, velocity, solid, slip):
     """Solid fraction and slip speed (n,) from the means (n, 1 + d) of solid fraction and fluid velocity."""
     d = velocity.shape[1]
@@ -52,7 +52,7 @@ def fluid_at_particles(mean, velocity, solid, slip):
         solid[i], slip[i] = mean[i, 0], math.sqrt(square)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def first_bad(beta):
     """The first drag coefficient that is negative or not a finite number, or -1."""
     for i in range(len(beta)):
@@ -61,7 +61,7 @@ def first_bad(beta):
     return -1
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def accelerations(held, volume, density, gravity, steady, contact_force, reaction, gradient, inertia, acceleration):
     """Accelerations (n, d) by all but drag as of the last step, and the densities (n, 1) that resist: infinite if held.
 
@@ -83,7 +83,7 @@ def accelerations(held, volume, density, gravity, steady, contact_force, reactio
                 acceleration[i, k] = 0.0 if held[i] else gravity[k] + other * inverse_mass
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def relax(dt, volume, density, beta, velocity, acceleration, relaxation_rate, target, rate_and_source):
     """Exact relaxation over a step: rates beta / rho (n,), v* (n, d), and V beta' and V beta' v* (n, 1 + d)."""
     d, a, mean, lag = velocity.shape[1], np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
@@ -103,7 +103,7 @@ def relax(dt, volume, density, beta, velocity, acceleration, relaxation_rate, ta
                     rate_and_source[i, 1 + k] = rate * target[i, k]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def answer(volume, void_fraction, rate, source, before, velocity, slope, out):
     """Fill the rows (cells, d) or (cells, 2 d) of new velocity and pressure gradient, if any, for the particles.
 
@@ -125,7 +125,7 @@ def answer(volume, void_fraction, rate, source, before, velocity, slope, out):
     return force, changed
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def drag_force(rate, target, fluid_velocity, force):
     """V beta' (u - v*) (n, d), with V beta' in the first column of ``rate``."""
     d = target.shape[1]
@@ -135,7 +135,7 @@ def drag_force(rate, target, fluid_velocity, force):
                 force[i, k] = rate[i, 0] * (fluid_velocity[i, k] - target[i, k])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def total_force(volume, density, steady, drag, reaction, gradient, pressure_gradient, force):
     """Fill the forces (n, 3) and the pressure gradients (n, d) at the particles.
 

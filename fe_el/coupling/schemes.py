@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fe_el.coupling import particle_loops as loops
-from fe_el.fluid.work_arrays import WorkArrays
+from fe_el.nodes.work_arrays import WorkArrays
 
 
 class Exchange(NamedTuple):

@@ -1,11 +1,12 @@
 """Shares kept as a list: entries start[i]:start[i+1] are the cells of particle i and its shares in them."""
 import numpy as np
-from numba import njit
+
+from fe_el.compiled.cache import njit
 
 FAST = {"contract", "reassoc", "nsz", "arcp"}
 
 
-@njit(cache=True)
+@njit
 def in_order(order, cell, position, radius, out_cell, out_position, out_radius):
     """Cells, positions and radii in another order."""
     for i in range(len(order)):
@@ -15,7 +16,7 @@ def in_order(order, cell, position, radius, out_cell, out_position, out_radius):
             out_position[i, k] = position[j, k]
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def _deposit(start, cell, weight, order, quantity, out):
     ordered = len(order) > 0
     for row in range(len(start) - 1):
@@ -36,7 +37,7 @@ def _deposit(start, cell, weight, order, quantity, out):
             k += 1
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def _gather(start, cell, weight, order, field, out):
     ordered = len(order) > 0
     for row in range(len(start) - 1):
@@ -66,7 +67,7 @@ def _gather(start, cell, weight, order, field, out):
             out[i, k] = a
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def _concentration(start, cell, weight, order, volume, out):
     ordered = len(order) > 0
     for row in range(len(start) - 1):

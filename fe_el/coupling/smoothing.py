@@ -1,15 +1,14 @@
 """Smoothing of cell fields over a length: self-adjoint and conservative, with a constant matrix that is set up once."""
 import numpy as np
-from numba import njit
 from scipy.sparse import csr_matrix
 
 from fe_el.checks import require_positive
-from fe_el.dolfinx_api import dof_table, scalar_space
-from fe_el.exchange import Halo
-from fe_el.fluid.for_each_dimension import FAST, M, by_dimension
-from fe_el.fluid.kernels import scatter
-from fe_el.fluid.linear_solver import NodalMatrix
-from fe_el.mesh import barycentric_maps, owned_corners
+from fe_el.compiled.cache import njit
+from fe_el.compiled.for_each_dimension import FAST, M, by_dimension
+from fe_el.nodes.nodal_kernels import scatter
+from fe_el.nodes.nodal_matrix import NodalMatrix
+from fe_el.nodes.nodal_space import NodalSpace
+from fe_el.parallel.exchange import Halo
 
 
 @by_dimension
@@ -23,7 +22,7 @@ def _to_cells(dofs, values, out):
             out[c, k] = share * total
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def _chebyshev(start, column, value, inverse_diagonal, b, x_old, x, new, first, second, owned):
     """new = x + first (x - x_old) + second D^-1 (b - H x) on the owned rows, once for each ``first``; components in
     pairs."""
@@ -46,26 +45,18 @@ def _chebyshev(start, column, value, inverse_diagonal, b, x_old, x, new, first, 
         x_old, x, new = x, new, x_old
 
 
-class Nodes:
-    """The P1 nodes of a mesh with its cells: sums from cells, means to cells, halo exchange."""
+class Nodes(NodalSpace):
+    """The P1 nodes of a mesh with its cells: sums from cells, means to cells."""
 
     def __init__(self, mesh):
-        d = mesh.topology.dim
-        self.comm, self.space = mesh.comm, scalar_space(mesh, "P", 1)
-        corner, _ = owned_corners(mesh)
-        maps, measure = barycentric_maps(corner, d)
-        self.gradient = maps[:, :, :d]
-        self.dofs = np.ascontiguousarray(dof_table(self.space)[:len(corner)].astype(np.int32))
-        index_map = self.space.dofmap.index_map
-        self.owned, self.number = index_map.size_local, index_map.size_local + index_map.num_ghosts
-        self.halo, self.measure = Halo.of_index_map(self.comm, index_map), measure
-        self.total = self.comm.allreduce(measure.sum())
+        super().__init__(mesh)
+        self.total = self.comm.allreduce(self.volume.sum())
 
     def load(self, field):
         """Nodal integrals (nodes, k) of a cell field, complete on owned nodes."""
-        out = np.zeros((self.number, field.shape[1]))
-        scatter(self.dofs, self.measure[:, None] * field, out)
-        return self.halo.reverse_add(out)
+        out = np.zeros((self.nodes, field.shape[1]))
+        scatter(self.dofs, self.volume[:, None] * field, out)
+        return self.node_halo.reverse_add(out)
 
     def means(self, values):
         """Cell means (cells, k) of nodal values."""
@@ -101,8 +92,8 @@ class HelmholtzSmoothing:
         self.length, self.nodes = float(length), Nodes(mesh)
         nodes, m = self.nodes, self.nodes.dofs.shape[1]
         matrix = NodalMatrix(nodes.space, nodes.dofs)
-        stiffness = length ** 2 * np.einsum("cik,cjk,c->cij", nodes.gradient, nodes.gradient, nodes.measure)
-        elements = stiffness + np.eye(m) * (nodes.measure / m)[:, None, None]
+        stiffness = length ** 2 * np.einsum("cik,cjk,c->cij", nodes.gradient, nodes.gradient, nodes.volume)
+        elements = stiffness + np.eye(m) * (nodes.volume / m)[:, None, None]
         matrix.add(elements)
         matrix.assemble()
         # bounds of the spectrum of D^-1 H from the elements (Fried 1972)
@@ -111,7 +102,7 @@ class HelmholtzSmoothing:
         low = -nodes.comm.allreduce(-spectrum[:, 0].min(initial=np.inf), op=_max())
         high = nodes.comm.allreduce(spectrum[:, -1].max(initial=0.0), op=_max())
         self._local_rows(matrix.matrix)
-        self.mass = nodes.load(np.ones((len(nodes.dofs), 1)))[:nodes.owned, 0]
+        self.mass = nodes.load(np.ones((len(nodes.dofs), 1)))[:nodes.owned_nodes, 0]
         self.middle, self.half = 0.5 * (high + low), max(0.5 * (high - low), 1e-12 * high)
         root = np.sqrt(high / low)
         rate = (root - 1) / (root + 1)
@@ -126,7 +117,7 @@ class HelmholtzSmoothing:
         """The owned rows as arrays with local columns, and the exchange for the columns of other ranks."""
         comm, first = self.nodes.comm, matrix.getOwnershipRange()[0]
         start, column, value = matrix.getValuesCSR()
-        starts, n = np.array(comm.allgather(first)), self.nodes.owned
+        starts, n = np.array(comm.allgather(first)), self.nodes.owned_nodes
         local = column.astype(np.int64) - first
         ghosts = np.unique(column[(local < 0) | (local >= n)]).astype(np.int64)
         outside = (local < 0) | (local >= n)
@@ -139,7 +130,7 @@ class HelmholtzSmoothing:
 
     def _solve(self, load):
         """Approximate H^-1 load by the Chebyshev polynomial; owned entries are right on return."""
-        n, k = self.nodes.owned, load.shape[1]
+        n, k = self.nodes.owned_nodes, load.shape[1]
         inverse, (x_old, x, new) = self.inverse_diagonal, np.zeros((3, self.rows, k))
         x[:n] = inverse[:, None] * load[:n] / self.middle
         at_once = len(self.first) if self.nodes.comm.size == 1 else 1
@@ -154,12 +145,12 @@ class HelmholtzSmoothing:
 
     def __call__(self, field):
         """Smoothed cell field (owned cells, k)."""
-        nodes, n = self.nodes, self.nodes.owned
-        mean = nodes.comm.allreduce(nodes.measure @ field) / nodes.total
-        values = np.zeros((nodes.number, field.shape[1]))
+        nodes, n = self.nodes, self.nodes.owned_nodes
+        mean = nodes.comm.allreduce(nodes.volume @ field) / nodes.total
+        values = np.zeros((nodes.nodes, field.shape[1]))
         values[:n] = self._solve(nodes.load(field - mean))[:n]
         lost = nodes.comm.allreduce(self.mass @ values[:n]) / nodes.total
-        return nodes.means(nodes.halo.forward(values)) + (mean - lost)
+        return nodes.means(nodes.node_halo.forward(values)) + (mean - lost)
 
 
 class PatchAverage:
@@ -180,12 +171,12 @@ class PatchAverage:
         if repeats < 1:
             raise ValueError(f"The number of repeats is {repeats}; it must be at least 1.")
         self.nodes, self.repeats = Nodes(mesh), int(repeats)
-        self.mass = self.nodes.halo.forward(self.nodes.load(np.ones((len(self.nodes.dofs), 1))))
+        self.mass = self.nodes.node_halo.forward(self.nodes.load(np.ones((len(self.nodes.dofs), 1))))
 
     def __call__(self, field):
         """Smoothed cell field (owned cells, k)."""
         for _ in range(self.repeats):
-            field = self.nodes.means(self.nodes.halo.forward(self.nodes.load(field)) / self.mass)
+            field = self.nodes.means(self.nodes.node_halo.forward(self.nodes.load(field)) / self.mass)
         return field
 
 
@@ -207,26 +198,26 @@ class FixedValues:
     def __init__(self, mesh, length, kappa=1e5):
         require_positive("smoothing length", length)
         require_positive("fixing factor kappa", kappa)
-        from fe_el.fluid.linear_solver import LinearSolver
+        from fe_el.nodes.linear_solver import LinearSolver
         self.nodes, self.kappa = Nodes(mesh), float(kappa)
         nodes = self.nodes
-        self.stiffness = length ** 2 * np.einsum("cik,cjk,c->cij", nodes.gradient, nodes.gradient, nodes.measure)
+        self.stiffness = length ** 2 * np.einsum("cik,cjk,c->cij", nodes.gradient, nodes.gradient, nodes.volume)
         self.matrix = NodalMatrix(nodes.space, nodes.dofs)
         self.solver = LinearSolver(self.matrix.matrix, "fixed_values", "cg", "jacobi", 1e-10)
 
     def __call__(self, field, filled):
         """Field (owned cells, k) continued from the cells where ``filled`` is true into the empty ones."""
         nodes, m = self.nodes, self.nodes.dofs.shape[1]
-        weight = np.where(filled, 1 + self.kappa, 1.0) * nodes.measure / m
+        weight = np.where(filled, 1 + self.kappa, 1.0) * nodes.volume / m
         self.matrix.values.fill(0.0)
         self.matrix.add(self.stiffness + np.eye(m) * weight[:, None, None])
         self.matrix.assemble()
         self.solver.new_values()
         load = nodes.load(np.where(filled, 1 + self.kappa, 0.0)[:, None] * field)
-        values = np.zeros((nodes.number, field.shape[1]))
+        values = np.zeros((nodes.nodes, field.shape[1]))
         for k in range(field.shape[1]):
-            values[:nodes.owned, k] = self.solver.solve(load[:nodes.owned, k], np.zeros(nodes.owned))
-        out = nodes.means(nodes.halo.forward(values))
+            values[:nodes.owned_nodes, k] = self.solver.solve(load[:nodes.owned_nodes, k], np.zeros(nodes.owned_nodes))
+        out = nodes.means(nodes.node_halo.forward(values))
         return np.where(filled[:, None], field, out)
 
 

@@ -26,7 +26,8 @@ Measured: 0.45 from forces in one and many cells (within 8 % at d/h 0.1 to 3); 0
 import math
 
 import numpy as np
-from numba import njit
+
+from fe_el.compiled.cache import njit
 
 FLUSHING = 0.75
 STEADY = 12 / 5 * (math.pi / 6) ** (1 / 3)
@@ -42,7 +43,7 @@ class UndisturbedVelocity:
     """
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _leave_out(volume, concentration, solid, slip, share, around):
     """Fill a particle's share (n,) of the solids in its cells, and the solid fraction around it; slip for slip in that."""
     for i in range(len(solid)):
@@ -52,7 +53,7 @@ def _leave_out(volume, concentration, solid, slip, share, around):
         slip[i] *= (1 - solid[i]) / (1 - around[i])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _predict(dt, density, viscosity, length, share, solid, around, beta, concentration, cell, slip, force, own, kept,
              answer, ahead):
     """Fill the part (n,) of its own velocity that a particle keeps over the step, the answer (n,) to a steady force

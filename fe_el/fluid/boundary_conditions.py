@@ -1,11 +1,12 @@
 """Boundary conditions of the fluid: facets and nodes of the tagged groups, and their values."""
 import numpy as np
 
-from fe_el.exchange import raise_everywhere
 from fe_el.fluid import cell_kernels, node_kernels
 from fe_el.fluid.boundary_values import velocity_at, volume_flux
 from fe_el.fluid.walls import WallFriction, held_directions
-from fe_el.mesh import group_numbers, refuse_inner_facets, require_groups
+from fe_el.mesh.cell_mesh import group_numbers, refuse_inner_facets, require_groups
+from fe_el.nodes import nodal_kernels
+from fe_el.parallel.exchange import raise_everywhere
 
 
 class BoundaryFacets:
@@ -46,7 +47,7 @@ class BoundaryFacets:
 
     def add_to_nodes(self, values, total):
         """Add one value for each facet of this rank to each of its nodes, in ``total`` (nodes,)."""
-        node_kernels.add_to_nodes(self.facet_nodes, values, total)
+        nodal_kernels.add_to_nodes(self.facet_nodes, values, total)
 
 
 class Boundaries:

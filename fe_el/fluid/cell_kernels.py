@@ -1,10 +1,9 @@
 """Numba loops over cells alone; each reads and writes all it needs at once, as memory is what limits them."""
-from numba import njit
+from fe_el.compiled.cache import njit
+from fe_el.compiled.for_each_dimension import FAST
 
-from fe_el.fluid.for_each_dimension import FAST
 
-
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def begin(density, dt, phi0, phi, drag, volume, rate, mass0, mass1, damping):
     """Rate of the void fraction, fluid masses before and after, and the part of the velocity that drag takes; whether any
     rate is not zero."""
@@ -17,7 +16,7 @@ def begin(density, dt, phi0, phi, drag, volume, rate, mass0, mass1, damping):
     return moves
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def stress_of(phi0, phi, middle, viscosity, of_mixture, share, stress):
     """The cells' share of the stress, in the ``middle`` of the step or at its end, and that times the viscosity."""
     for c in range(len(phi)):
@@ -25,14 +24,14 @@ def stress_of(phi0, phi, middle, viscosity, of_mixture, share, stress):
         stress[c] = viscosity if of_mixture else viscosity * share[c]
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def supply_of(rate, rate0, part, supply):
     """rate + part (rate - rate0)."""
     for c in range(len(rate)):
         supply[c] = rate[c] + part * (rate[c] - rate0[c])
 
 
-@njit(cache=True)
+@njit
 def totals(values, volume):
     """Integral of cell values, and that of their size."""
     total, size = 0.0, 0.0

@@ -3,16 +3,16 @@ from functools import cached_property
 
 import numpy as np
 
-from fe_el.dolfinx_api import dof_table, scalar_space
-from fe_el.exchange import Halo
-from fe_el.failures import end_all_ranks_on_errors
-from fe_el.fluid import kernels
-from fe_el.fluid.work_arrays import WorkArrays
-from fe_el.mesh import barycentric_maps, check_simplices, owned_corners
-from fe_el.messages import ranks_of
+from fe_el.mesh.cell_mesh import check_simplices
+from fe_el.nodes.nodal_kernels import scatter
+from fe_el.nodes.nodal_space import NodalSpace
+from fe_el.nodes.work_arrays import WorkArrays
+from fe_el.parallel.exchange import Halo
+from fe_el.parallel.failures import end_all_ranks_on_errors
+from fe_el.parallel.messages import ranks_of
 
 
-class CellsAndNodes:
+class CellsAndNodes(NodalSpace):
     """Owned cells of a mesh of triangles or tetrahedra, and the nodes (P1) that belong to them.
 
     Raises:
@@ -25,19 +25,11 @@ class CellsAndNodes:
     def __init__(self, mesh):
         check_simplices(mesh)
         end_all_ranks_on_errors(mesh.comm)
-        self.mesh, self.comm, self.dimension, self.ranks = mesh, mesh.comm, mesh.topology.dim, ranks_of(mesh.comm)
-        d = self.dimension
-        self.space, self.work = scalar_space(mesh, "P", 1), WorkArrays()
-        self.corner, _ = owned_corners(mesh)
-        barycentric, self.volume = barycentric_maps(self.corner, d)
-        self.gradient = np.ascontiguousarray(barycentric[:, :, :d])
-        n = self.num_cells = len(self.volume)
-        self.dofs = np.ascontiguousarray(dof_table(self.space)[:n].astype(np.int32))
-        index_map = self.space.dofmap.index_map
-        self.nodes, self.owned_nodes = index_map.size_local + index_map.num_ghosts, index_map.size_local
-        self.node_halo, touched = Halo.of_index_map(self.comm, index_map), np.zeros(self.nodes, bool)
+        super().__init__(mesh)
+        d, self.ranks, self.work, self.num_cells = self.dimension, ranks_of(mesh.comm), WorkArrays(), len(self.volume)
+        touched = np.zeros(self.nodes, bool)
         touched[self.dofs] = True
-        self.sum_halo = Halo.of_index_map(self.comm, index_map, touched)
+        self.sum_halo = Halo.of_index_map(self.comm, self.space.dofmap.index_map, touched)
         self.h = self.volume ** (1 / d) * (2 ** 0.5 if d == 2 else 6 ** (1 / 3))
         self.node_position = np.zeros((self.nodes, 3))
         self.node_position[self.dofs] = self.corner
@@ -68,7 +60,7 @@ class CellsAndNodes:
     def node_volume(self):
         """(nodes, 1) volume that belongs to each node [m^3]; collective when it is first asked for."""
         total = self.nodal_zeros((1,))
-        kernels.scatter(self.dofs, self.volume[:, None], total)
+        scatter(self.dofs, self.volume[:, None], total)
         self.complete(total)
         return total
 

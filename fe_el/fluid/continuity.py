@@ -3,7 +3,8 @@ import numpy as np
 from mpi4py import MPI
 
 from fe_el.fluid import kernels
-from fe_el.fluid.linear_solver import LinearSolver, NodalMatrix
+from fe_el.nodes.linear_solver import LinearSolver
+from fe_el.nodes.nodal_matrix import NodalMatrix
 
 
 class ClosedFlux:

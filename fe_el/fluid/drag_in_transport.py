@@ -1,6 +1,6 @@
 """Transport with drag inside, for steps that are long against the viscous fading of what one cell alone feels."""
 from fe_el.fluid import drag_kernels, kernels
-from fe_el.messages import largest
+from fe_el.parallel.messages import largest
 
 FASTEST = 0.1  # fading by viscosity in a step, k dt, below which the last step's drag tells enough of this one's
 

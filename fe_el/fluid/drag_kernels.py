@@ -1,7 +1,6 @@
 """Numba loops of transport with drag: see :mod:`fe_el.fluid.drag_in_transport`."""
-from numba import njit
-
-from fe_el.fluid.for_each_dimension import FAST, D, M, by_dimension
+from fe_el.compiled.cache import njit
+from fe_el.compiled.for_each_dimension import FAST, D, M, by_dimension
 from fe_el.fluid.kernels import fading_rate
 
 
@@ -79,7 +78,7 @@ def before_exchange(dofs, dt, q, u, force, mass, gain, kept, fades):
             fades[c, k] = (q[c, k] - share * mean - kept[c, k]) / dt
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def share_of_viscosity(q, h, viscous, split):
     """Share of viscosity, ``viscous`` / h^2, in the rate at which what the nodes do not carry fades."""
     for c in range(len(h)):
@@ -89,7 +88,7 @@ def share_of_viscosity(q, h, viscous, split):
         split[c] = viscous / (h[c] * h[c] * fading_rate(speed, h[c], viscous, 1.0))
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def gain_by_drag(density, phi, drag, source, q, drag_gain, last_drag):
     """What drag and source gave to the cells in the exchange, per mass."""
     for c in range(len(phi)):
@@ -98,7 +97,7 @@ def gain_by_drag(density, phi, drag, source, q, drag_gain, last_drag):
             drag_gain[c, k] = (source[c, k] - drag[c] * q[c, k]) / (density * phi[c])
 
 
-@njit(cache=True)
+@njit
 def any_of(drag, source):
     """Whether there is drag or a source anywhere."""
     for c in range(len(drag)):

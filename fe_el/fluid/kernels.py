@@ -1,27 +1,27 @@
 """Numba loops over the cells of the cell-node scheme; cells carry the momentum, nodes the transport."""
 import numpy as np
-from numba import njit
 
-from fe_el.fluid.for_each_dimension import FAST, D, M, by_dimension
+from fe_el.compiled.cache import njit
+from fe_el.compiled.for_each_dimension import FAST, D, M, by_dimension
 
 CUT = 4.0  # Courant number times two from which the last step's gain is not trusted, without drag
 VISCOUS = (6.0, 80.0)  # viscous fading rate times h^2 / nu on triangles, tetrahedra: measured, see :func:`mass_and_misfit`
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def fading_rate(speed_squared, h, nu, viscous):
     """Rate at which what a cell's neighbours do not share is carried off: by convection, and ``viscous`` nu / h^2 [1/s]."""
     return 2.0 * np.sqrt(speed_squared) / h + viscous * nu / (h * h)
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def relaxation_rate(speed_squared, h, nu):
     """Rate at which nodes take over what the cells around them share [1/s]; slow in viscous flow, where the nodes need no
     help."""
     return 4.0 * np.sqrt(speed_squared) / h + nu / (h * h)
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def relaxation_rate_at_wall(speed_squared, h, nu):
     """The same for nodes on no-slip walls: the cells lie on one side of them, so where the mesh resolves the layer what
     these share is no error of the nodes; where convection is far faster than viscosity the nodes follow as others do."""
@@ -29,19 +29,19 @@ def relaxation_rate_at_wall(speed_squared, h, nu):
     return convection * convection / (convection + 16.0 * nu / (h * h) + 1e-300)
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def left_of(x):
     """What is left after a time x of something that fades at a rate of one: exp(-x) to the third order."""
     return 1.0 / (1.0 + x * (1.0 + x * (0.5 + x / 6.0)))
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def lag_of(left, x):
     """1 - (1 - left) / x with left = left_of(x): the part of a step that a steady gain misses of its fading."""
     return left * x * (0.5 + x * (1.0 / 3.0 + x / 6.0))
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def trust(convective, fading, damping):
     """Part of a lag to be taken: less in steps that are long against the fading by convection (``convective``: two Courant
     numbers).
@@ -116,16 +116,6 @@ def mass_flux(dofs, density, phi, q, part, last, now, flux):
 
 
 @by_dimension
-def scatter(dofs, total, out):
-    """Add cell totals in equal shares to the nodes."""
-    share = 1.0 / M
-    for c in range(len(dofs)):
-        for i in range(M):
-            for k in range(total.shape[1]):
-                out[dofs[c, i], k] += share * total[c, k]
-
-
-@by_dimension
 def transport_matrix(dofs, place, grad, volume, density, stress, dt, phi1, rate, flux, open_node, thetas, upwind, u, values,
                      rhs):
     """Add lumped mass, skew-symmetric convection and viscosity to ``values``; one theta step of the latter two, theta by
@@ -176,7 +166,7 @@ def transport_matrix(dofs, place, grad, volume, density, stress, dt, phi1, rate,
                 rhs[dofs[c, i], k] -= (1.0 - theta) * total[i, k]
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def open_boundary(place, cell, local, area_normal, flux, values):
     """Half the outgoing mass flux on open facets, lumped; the flux that comes in brings no energy (backflow-safe)."""
     d = flux.shape[1]
@@ -189,15 +179,6 @@ def open_boundary(place, cell, local, area_normal, flux, values):
             for i in range(place.shape[1]):
                 if i != local[f]:
                     values[place[c, i, i]] += out / d
-
-
-@by_dimension
-def add_elements(dofs, place, elements, values):
-    """Add element matrices to ``values``."""
-    for c in range(len(dofs)):
-        for i in range(M):
-            for j in range(M):
-                values[place[c, i, j]] += elements[c, i, j]
 
 
 @by_dimension

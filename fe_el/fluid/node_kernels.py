@@ -1,11 +1,9 @@
 """Numba loops over the nodes of the cell-node scheme; ghosts that no cell of this rank has are without mass and left out."""
-import numpy as np
-from numba import njit
-
-from fe_el.fluid.for_each_dimension import FAST
+from fe_el.compiled.cache import njit
+from fe_el.compiled.for_each_dimension import FAST
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def relaxed(start, sums, upwind, whole, mass, out):
     """Nodal velocity that has taken over its part of the misfit (all of it if ``whole``), and what fed it, from the ``sums``
     of :func:`kernels.mass_and_misfit`; ``mass`` gets the nodal mass."""
@@ -21,7 +19,7 @@ def relaxed(start, sums, upwind, whole, mass, out):
             out[i, k] = start[i, k] + share * misfit + sums[i, 2 + parts + k] / mass[i]
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def transport_load(mass, u, last_change, force, explicit, lift, dt, held, boundary, diagonal, rhs, system, guess):
     """Right-hand side of transport (nodes, d), that of the systems of each component (d, owned nodes) with fixed values, and
     a guess of the solutions."""
@@ -38,7 +36,7 @@ def transport_load(mass, u, last_change, force, explicit, lift, dt, held, bounda
                 system[k, i] = diagonal[i] * boundary[i, k]
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def close_transport(mass, rhs, balance, defect, dt, held, new, correction):
     """Nodal velocity from the balance of momentum itself, in ``new`` but for held nodes; ``balance`` becomes the
     reaction."""
@@ -59,7 +57,7 @@ def close_transport(mass, rhs, balance, defect, dt, held, new, correction):
             correction[i, k] = defect[i, k] / mass[i] if mass[i] != 0.0 else 0.0
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def carry_on(force, last, ratio, held, slip, normal, out):
     """The last step's force, and where walls take their share what its change leads to, at most twice itself.
 
@@ -82,7 +80,7 @@ def carry_on(force, last, ratio, held, slip, normal, out):
             out[i, k] += min(max(rise, -most), most)
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def take_force(u, force, mass, dt, out):
     """u - dt force / mass."""
     for i in range(len(u)):
@@ -90,7 +88,7 @@ def take_force(u, force, mass, dt, out):
             out[i, k] = u[i, k] - (dt * force[i, k] / mass[i] if mass[i] != 0.0 else 0.0)
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def after_exchange(u, force, correction, mass, dt, new, gain):
     """Nodal velocity after the force; ``gain`` is what raises the nodes against their cells per time: the force, and the
     momentum that fading took off the cells."""
@@ -101,7 +99,7 @@ def after_exchange(u, force, correction, mass, dt, new, gain):
             gain[i, k] = rise + correction[i, k] / dt
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def extrapolate(past, last, order, guess):
     """Polynomial of the given order through the ``last`` values and those ``past`` (nodes, 3; latest first), one step
     further."""
@@ -117,7 +115,7 @@ def extrapolate(past, last, order, guess):
             guess[i] = 4.0 * (last[i] + b) - 6.0 * a - c
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def misses(past, last, new, out):
     """Squares of what the extrapolations of order 0 to 3 would have missed of ``new``, summed; ``last`` then joins the
     ``past``."""
@@ -132,77 +130,7 @@ def misses(past, last, new, out):
         past[i, 0], past[i, 1], past[i, 2] = last[i], a, b
 
 
-@njit(cache=True, fastmath=FAST)
-def fix_entries(held, diagonal, values, rhs):
-    """Right-hand side of the held entries that this rank owns."""
-    for i in held:
-        if i < len(diagonal):
-            rhs[i] = diagonal[i] * values[i]
-
-
-@njit(cache=True)
-def fix_rows(at, row, column, fixed, values, kept, lift, boundary):
-    """Replace rows and columns of fixed nodes by a diagonal in the entries ``at``, which go to ``kept`` as they were; what
-    columns carried goes to ``lift``."""
-    for n in range(len(at)):
-        i, j, value = row[n], column[n], values[at[n]]
-        kept[n] = value
-        if not fixed[i]:
-            for k in range(boundary.shape[1]):
-                lift[i, k] -= value * boundary[j, k]
-        values[at[n]] = abs(value) + 1e-300 if i == j else 0.0
-
-
-@njit(cache=True, fastmath=FAST)
-def subtract_product(starts, columns, values, u, out):
-    """Subtract a matrix, given by rows, times u (nodes, parts) from ``out``."""
-    if u.shape[1] == 3:
-        for i in range(len(out)):
-            a, b, c = 0.0, 0.0, 0.0
-            for n in range(starts[i], starts[i + 1]):
-                j, value = columns[n], values[n]
-                a += value * u[j, 0]
-                b += value * u[j, 1]
-                c += value * u[j, 2]
-            out[i, 0] -= a
-            out[i, 1] -= b
-            out[i, 2] -= c
-        return
-    for i in range(len(out)):
-        for k in range(u.shape[1]):
-            total = 0.0
-            for n in range(starts[i], starts[i + 1]):
-                total += values[n] * u[columns[n], k]
-            out[i, k] -= total
-
-
-@njit(cache=True)
-def add_to_nodes(facet_nodes, values, total):
-    """Add the value of each facet to all of its nodes."""
-    for f in range(len(facet_nodes)):
-        for k in range(facet_nodes.shape[1]):
-            total[facet_nodes[f, k]] += values[f]
-
-
-@njit(cache=True)
-def same(a, b):
-    """Whether two vectors are equal, entry by entry."""
-    for i in range(len(a)):
-        if a[i] != b[i]:
-            return False
-    return True
-
-
-@njit(cache=True)
-def finite(a):
-    """Whether all entries of a vector are finite."""
-    for value in a:
-        if not np.isfinite(value):
-            return False
-    return True
-
-
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def take_normal(u, i, normal):
     """Take the normal part of one node, in place; returns that part."""
     along = 0.0
@@ -213,7 +141,7 @@ def take_normal(u, i, normal):
     return along
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def slip(u, nodes, normal, fixed, mass, rate, force):
     """Take the normal part at slip walls, in place, and add what that took, mass times velocity times ``rate``, to
     ``force``."""
@@ -225,7 +153,7 @@ def slip(u, nodes, normal, fixed, mass, rate, force):
                 force[i, k] -= rate * mass[i] * normal[n, k] * along
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def impose(u, slip, normal, held, boundary):
     """Take the normal part at slip walls, one after the other, and set the held nodes, in place."""
     for n in range(len(slip)):
@@ -235,7 +163,7 @@ def impose(u, slip, normal, held, boundary):
             u[i, k] = boundary[i, k]
 
 
-@njit(cache=True)
+@njit
 def pass_boundaries(nodes, owned, places, through, old, outside, part, values, rhs):
     """What leaves through boundary nodes takes their value along, ``part`` of it implicit; what enters has the value
     ``outside``, which becomes that of what leaves. Entries of the matrix of owned nodes lie at ``places``."""

@@ -3,8 +3,10 @@ import numpy as np
 from mpi4py import MPI
 
 from fe_el.fluid import kernels, node_kernels
-from fe_el.fluid.linear_solver import LinearSolver, NodalMatrix
-from fe_el.messages import largest
+from fe_el.nodes import nodal_kernels
+from fe_el.nodes.linear_solver import LinearSolver
+from fe_el.nodes.nodal_matrix import NodalMatrix
+from fe_el.parallel.messages import largest
 
 
 class PressureEquation:
@@ -41,7 +43,7 @@ class PressureEquation:
         self._assemble(weight)
         rhs += self._lift[:, 0]
         air.node_halo.reverse_add(rhs)
-        node_kernels.fix_entries(self.held, self._diagonal, self._boundary[:, 0], rhs)
+        nodal_kernels.fix_entries(self.held, self._diagonal, self._boundary[:, 0], rhs)
         guess, old, past = work.empty("pressure_guess", air.nodes), work.empty("old_pressure", air.nodes), air.past_pressures
         old[:] = p
         node_kernels.extrapolate(past, old, air.guess_order, guess)
@@ -59,7 +61,7 @@ class PressureEquation:
     def _assemble(self, weight):
         """The matrix, unless nothing that enters it has changed on any rank."""
         air, values = self.fluid, self._boundary[:, 0]
-        as_before = node_kernels.same(weight, self._weight) and node_kernels.same(values, self._values)
+        as_before = nodal_kernels.same(weight, self._weight) and nodal_kernels.same(values, self._values)
         if not largest(air.ranks, float(not as_before)):
             return
         self._weight[:], self._values[:] = weight, values

@@ -6,8 +6,10 @@ from dolfinx import fem
 
 from fe_el.checks import require_positive
 from fe_el.fluid import cell_kernels, kernels, node_kernels
-from fe_el.fluid.linear_solver import LinearSolver, NodalMatrix
-from fe_el.fluid.work_arrays import WorkArrays
+from fe_el.nodes.linear_solver import LinearSolver
+from fe_el.nodes.nodal_kernels import scatter
+from fe_el.nodes.nodal_matrix import NodalMatrix
+from fe_el.nodes.work_arrays import WorkArrays
 
 
 class Scalar:
@@ -114,7 +116,7 @@ class Scalar:
         if self.source is not None:
             supply = np.multiply(air.at_cells(self.source, (air.num_cells,), middle), air.volume,
                                  out=work.empty("supply", air.num_cells))
-            kernels.scatter(air.dofs, supply[:, None], rhs)
+            scatter(air.dofs, supply[:, None], rhs)
         air.complete(rhs)
         self._through_boundaries(dt, old, rhs)
         self._solve(dt, rhs, old)

@@ -1,10 +1,10 @@
 """Stabilisation of convection, for flows that the mesh does not resolve; absent by default, as the scheme needs none to be
 stable."""
 import numpy as np
-from numba import njit
 
 from fe_el.checks import require_positive
-from fe_el.fluid.for_each_dimension import D, M, by_dimension
+from fe_el.compiled.cache import njit
+from fe_el.compiled.for_each_dimension import D, M, by_dimension
 from fe_el.fluid.kernels import fading_rate
 
 
@@ -23,7 +23,7 @@ def _convection(dofs, grad, volume, flux, u, share_out):
                 share_out[dofs[c, i], k] += volume[c] / M * along
 
 
-@njit(cache=True)
+@njit
 def _weights(flux, density, share, h, viscosity, factor, weight):
     """factor / (2 |u| / h + 4 nu / h^2) / (rho phi)."""
     for c in range(len(flux)):

@@ -3,7 +3,7 @@ import numpy as np
 
 from fe_el.fluid import cell_kernels, kernels, node_kernels
 from fe_el.fluid.continuity import ClosedFlux
-from fe_el.messages import largest
+from fe_el.parallel.messages import largest
 
 
 class Transport:

@@ -5,16 +5,17 @@ import numpy as np
 from dolfinx import fem
 
 from fe_el.dolfinx_api import vector_space
-from fe_el.exchange import Halo
 from fe_el.fluid import cell_kernels, kernels, node_kernels
 from fe_el.fluid.boundary_conditions import Boundaries
 from fe_el.fluid.boundary_values import velocity_at
 from fe_el.fluid.cells_and_nodes import CellsAndNodes
 from fe_el.fluid.continuity import Ledger
 from fe_el.fluid.drag_in_transport import DragInTransport
-from fe_el.fluid.linear_solver import LinearSolver, NodalMatrix
 from fe_el.fluid.pressure_equation import PressureEquation
 from fe_el.fluid.transport import Transport
+from fe_el.nodes.linear_solver import LinearSolver
+from fe_el.nodes.nodal_matrix import NodalMatrix
+from fe_el.parallel.exchange import Halo
 
 START_STEPS = 2  # implicit Euler steps that damp a start which does not fit its boundary conditions
 

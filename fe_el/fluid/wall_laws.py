@@ -1,12 +1,12 @@
 """Wall laws: the friction of turbulent layers that are thinner than a cell, from the velocity that the cell beside the wall
 has."""
 import numpy as np
-from numba import njit
 
 from fe_el.checks import require_positive
+from fe_el.compiled.cache import njit
 
 
-@njit(cache=True)
+@njit
 def _spalding(speed, distance, kinematic, kappa, constant, out):
     """Friction velocity squared over the speed [m/s], by Newton's method on the law for u+ = speed over friction
     velocity."""

@@ -9,10 +9,10 @@ a wall law knows the friction, that friction acts (Bazilevs & Hughes, Computers 
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from fe_el.compiled.cache import njit
+from fe_el.compiled.for_each_dimension import FAST, D, M, by_dimension
 from fe_el.fluid.boundary_values import velocity_at
-from fe_el.fluid.for_each_dimension import FAST, D, M, by_dimension
 
 STRENGTH = 4.0  # of Nitsche's penalty, enough for positive definiteness on simplices with lumped facets
 EDGE = 0.1  # square of the sine of half the angle from which two facets of a wall make an edge and not a curve
@@ -27,7 +27,7 @@ class Facets(NamedTuple):
     slope: np.ndarray   #: (facets, m) normal derivatives of the cell's basis functions [1/m]
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def unresolved_friction(facets, volume, stress, drag, coefficient, out):
     """Add what layers thinner than the cells add to the drag of the cells behind each facet, to ``out`` (cells,) [kg/(m^3
     s)].

@@ -3,13 +3,13 @@ import itertools
 
 import numpy as np
 from mpi4py import MPI
-from numba import njit
 
-from fe_el.messages import exchange, messages_of
-from fe_el.particles.neighbours import bounds
+from fe_el.compiled.cache import njit
+from fe_el.parallel.messages import exchange, messages_of
+from fe_el.particles.contacts.neighbours import bounds
 
 
-@njit(cache=True)
+@njit
 def _inside(position, lower, upper):
     """Rows of the positions in a box."""
     rows, number = np.empty(len(position), np.int64), 0
@@ -23,7 +23,7 @@ def _inside(position, lower, upper):
     return rows[:number].copy()
 
 
-@njit(cache=True)
+@njit
 def pack(rows, x, state, out):
     """Position, velocity and angular velocity of the particles in ``rows``, one after the other."""
     for n in range(len(rows)):
@@ -32,7 +32,7 @@ def pack(rows, x, state, out):
             out[n, k], out[n, 3 + k], out[n, 6 + k] = x[i, k], state[i, 1 + k], state[i, 4 + k]
 
 
-@njit(cache=True)
+@njit
 def unpack(packed, shift, first, owned, x, state):
     """Set ghosts from ``first`` on to what was packed, shifted for periodic images."""
     for n in range(len(packed)):
@@ -42,7 +42,7 @@ def unpack(packed, shift, first, owned, x, state):
             state[i, 1 + k], state[i, 4 + k] = packed[n, 3 + k], packed[n, 6 + k]
 
 
-@njit(cache=True)
+@njit
 def forward_state(ghosts, owned, x, state):
     """Set the ghosts' positions (shifted for periodic images), velocities and angular velocities, in place. Collective."""
     abroad, outgoing, incoming, images, image_rows, shift, messages = ghosts

@@ -1,10 +1,10 @@
 """Checks and positions of inserted particles."""
 import numpy as np
-from numba import njit
 
 from fe_el import checks
 from fe_el.checks import require_positive
-from fe_el.particles.walls import facet_balls, nearest_point
+from fe_el.compiled.cache import njit
+from fe_el.particles.contacts.walls import facet_balls, nearest_point
 
 
 def check(particles, position, diameter, density, velocity, material, coarse_graining):
@@ -120,7 +120,7 @@ def random_positions(lower, upper, count, diameter, seed, without_overlap, perio
     return out[:, :len(lower)]
 
 
-@njit(cache=True)
+@njit
 def _touches(x, radius, corner, ball):
     """Whether a sphere reaches one of the facets."""
     for f in range(len(ball)):
@@ -132,7 +132,7 @@ def _touches(x, radius, corner, ball):
     return False
 
 
-@njit(cache=True)
+@njit
 def _sequential(lower, upper, new_radius, seed, period, there, their_radius, corner, ball):
     """Random sequential insertion, largest first, with bins of one largest diameter; periodic images count."""
     np.random.seed(seed)

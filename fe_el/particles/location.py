@@ -1,15 +1,15 @@
 """Locating points on unstructured simplices: walk through facets, then vertex neighbours, then a search of all cells."""
 import numpy as np
-from numba import njit
 
-from fe_el.particles.neighbours import morton_code
+from fe_el.compiled.cache import njit
+from fe_el.particles.contacts.neighbours import morton_code
 
 INSIDE = 0.0  # the cells' maps are moved a little, so that a point on a facet belongs to one cell
 AT_BOUNDARY = -1e-8  # a point on the boundary counts as inside
 MANY = 50_000  # particles, from which cells of particles in any order no longer stay in the caches
 
 
-@njit(cache=True)
+@njit
 def lowest_coordinate(barycentric, cell, x, y, z):
     """Facet with the lowest barycentric coordinate of a point, and that coordinate."""
     facet, lowest = 0, 1e300
@@ -21,7 +21,7 @@ def lowest_coordinate(barycentric, cell, x, y, z):
     return facet, lowest
 
 
-@njit(cache=True)
+@njit
 def walk(barycentric, neighbour, shift, cell, point, limit):
     """Walk from ``cell`` towards ``point`` (shifted in place across periodic facets): the cell, or -1 at the boundary."""
     for _ in range(limit):
@@ -51,7 +51,7 @@ def walk(barycentric, neighbour, shift, cell, point, limit):
     return -1
 
 
-@njit(cache=True)
+@njit
 def locate_from(barycentric, neighbour, shift, vertex_start, vertex_cells, local_vertex, cell, position):
     """Update ``cell`` for every position, in place; -1 where neither the walk nor the vertex neighbours find it."""
     missing, old = 0, np.empty(3)
@@ -82,7 +82,7 @@ def curve_through(cells):
     return rank, reach
 
 
-@njit(cache=True)
+@njit
 def order_by_cell(cell, position, curve):
     """Rows of the particles cell by cell along the curve; none if most are less than four cells from the one before them."""
     far, (rank, reach) = 0, curve
@@ -105,7 +105,7 @@ def order_by_cell(cell, position, curve):
     return order
 
 
-@njit(cache=True)
+@njit
 def _fill_bins(corner, lower, size, shape, start, content, count_only):
     """Bin the cells by their bounding boxes: count, or fill ``content``."""
     for c in range(len(corner)):
@@ -125,7 +125,7 @@ def _fill_bins(corner, lower, size, shape, start, content, count_only):
                         start[b] += 1
 
 
-@njit(cache=True)
+@njit
 def _search(barycentric, owned, lower, size, shape, start, content, position):
     """Owned cell of every position, or -1."""
     cell = np.full(len(position), -1, np.int32)

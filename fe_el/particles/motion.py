@@ -1,4 +1,4 @@
-"""Free flight, and kicks and drifts of a sub-step, on the rows of :mod:`fe_el.particles.pair_forces`.
+"""Free flight, and kicks and drifts of a sub-step, on the rows of :mod:`fe_el.particles.contacts.pair_forces`.
 
 Velocities that relax, dv/dt = k (target - v), take their positions along: over h with a = k h the velocity changes by
 dv = (1 - exp(-a)) (target - v), and the position by h (v + lag dv), lag = 1 / (1 - exp(-a)) - 1 / a: from 1/2 for a constant
@@ -7,16 +7,16 @@ force to 1 for what follows the fluid.
 import math
 
 import numpy as np
-from numba import njit
 
-from fe_el.particles.law_kernels import FAST
+from fe_el.compiled.cache import njit
+from fe_el.particles.contacts.law_kernels import FAST
 
 BLOCK = 256  # particles whose relaxation is computed at once
 SERIES = tuple((-1) ** k / math.factorial(k + 1) for k in range(12))
 S0, S1, S2, S3, S4, S5, S6, S7, S8, S9, S10, S11 = SERIES
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def relaxed(a):
     """e(a) = 1 - exp(-a), for a of zero or more, to round-off and without a branch: from the series at a / 128, and
     e(2 x) = e(x) (2 - e(x))."""
@@ -30,13 +30,13 @@ def relaxed(a):
     return e
 
 
-@njit(cache=True)
+@njit
 def lag(a):
     """1 / (1 - exp(-a)) - 1 / a, for a of zero or more."""
     return 0.5 + a / 12 if a < 1e-3 else 1 / relaxed(a) - 1 / a
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def relaxations(a, number, mean, lags):
     """(1 - exp(-a)) / a and :func:`lag` of some numbers, as vectors."""
     for n in range(number):
@@ -45,7 +45,7 @@ def relaxations(a, number, mean, lags):
         lags[n] = 0.5 + a[n] / 12 if small else 1 / part - inverse
 
 
-@njit(cache=True)
+@njit
 def free_flight(position, velocity, force, mass, gravity, rate, held, dt):
     """A step without contacts: v += dt (g + F/m), along the relaxation that gives this change."""
     for i in range(len(position)):
@@ -58,7 +58,7 @@ def free_flight(position, velocity, force, mass, gravity, rate, held, dt):
             velocity[i, k] += change
 
 
-@njit(cache=True)
+@njit
 def places_ahead(position, velocity, force, contact_force, inertia, gravity, rate, held, half, place):
     """Fill in the positions after the first half of a step, from velocity and acceleration of the last one; returns the
     longest way.
@@ -84,7 +84,7 @@ def places_ahead(position, velocity, force, contact_force, inertia, gravity, rat
     return math.sqrt(longest)
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def kick(state, force, inverse_mass, inverse_inertia, h, owned):
     """v += h F/m, w += h T/I."""
     for i in range(owned):
@@ -94,7 +94,7 @@ def kick(state, force, inverse_mass, inverse_inertia, h, owned):
             state[i, 4 + k] += b * force[i, 4 + k]
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0, part, h, begin, end):
     """Kick some particles by ``part`` of a step, drift by a step, reset their forces.
 
@@ -122,7 +122,7 @@ def kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0,
     return largest, fastest, hardest
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def kick_and_drift_fading(x, state, force, external, inverse_mass, inverse_inertia, x0, fading, part, h, begin, end):
     """The same, with a part of the external force that fades; see :func:`forces_in_step`."""
     largest, fastest, hardest = 0.0, 0.0, 0.0
@@ -147,7 +147,7 @@ def kick_and_drift_fading(x, state, force, external, inverse_mass, inverse_inert
     return largest, fastest, hardest
 
 
-@njit(cache=True)
+@njit
 def drift_on(x, state, force, inverse_mass, drift, part, h, begin, end):
     """A sub-step's kick and drift, with an external force that is constant, or with a part that fades."""
     external, inverse_inertia, x0, fading = drift
@@ -157,7 +157,7 @@ def drift_on(x, state, force, inverse_mass, drift, part, h, begin, end):
     return kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0, part, h, begin, end)
 
 
-@njit(cache=True)
+@njit
 def forces_in_step(position, force, contact_force, mass, gravity, rate, held, dt, steps):
     """The impulse of gravity and ``force`` over a step, given to sub-steps such that velocities follow their relaxation.
 
@@ -186,7 +186,7 @@ def forces_in_step(position, force, contact_force, mass, gravity, rate, held, dt
     return constant, fading
 
 
-@njit(cache=True)
+@njit
 def pack(position, velocity, angular_velocity, external, contact_force, contact_torque, x, state, force):
     """Fill the rows of the owned particles, and clear the forces of the ghosts."""
     for i in range(len(position)):
@@ -197,7 +197,7 @@ def pack(position, velocity, angular_velocity, external, contact_force, contact_
     force[len(position):] = 0.0
 
 
-@njit(cache=True)
+@njit
 def first_not_finite(x, force):
     """The first particle whose position or force is not a finite number, or -1."""
     for i in range(len(x)):
@@ -206,13 +206,13 @@ def first_not_finite(x, force):
     return -1
 
 
-@njit(cache=True)
+@njit
 def mean_force(v, v0, mass, external, dt):
     """Mean contact force (particles, 3) over ``dt`` from the change of momentum."""
     return mass.reshape(-1, 1) * (v - v0) / dt - external
 
 
-@njit(cache=True)
+@njit
 def lightest_and_smallest(material, density, diameter, count):
     """Inverses of the least mass [1/kg] and radius [1/m] of each of ``count`` materials; zero where there is no particle."""
     light, small = np.zeros(count), np.zeros(count)

@@ -1,12 +1,12 @@
 """Boundaries that particles may leave through, and boundaries that let particles in at a mass rate."""
 import numpy as np
 from mpi4py import MPI
-from numba import njit
 from scipy.spatial import cKDTree
 
-from fe_el import mesh as _mesh
 from fe_el.checks import finite_vector, of_kind, positive_number, require_positive, require_tags
-from fe_el.particles.walls import facet_balls, facet_frames, nearest_point
+from fe_el.compiled.cache import njit
+from fe_el.mesh import cell_mesh as _mesh
+from fe_el.particles.contacts.walls import facet_balls, facet_frames, nearest_point
 
 
 class OpenBoundaries:
@@ -39,7 +39,7 @@ class OpenBoundaries:
         return out
 
 
-@njit(cache=True)
+@njit
 def _first_crossed(frame, x, direction):
     """First facet that a ray crosses, or -1; of several at an edge the first in the list."""
     first, least = -1, np.inf

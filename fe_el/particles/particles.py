@@ -1,10 +1,10 @@
 """The particles: a structure of arrays on the cells of a mesh, each particle owned by the rank of its cell."""
 import numpy as np
 
-from fe_el import mesh as _mesh
 from fe_el.checks import finite_vector, positive_number, require_mesh, require_positive, require_tags
-from fe_el.exchange import largest_of, move, raise_everywhere
-from fe_el.failures import end_all_ranks_on_errors
+from fe_el.mesh import cell_mesh as _mesh
+from fe_el.parallel.exchange import largest_of, move, raise_everywhere
+from fe_el.parallel.failures import end_all_ranks_on_errors
 from fe_el.particles import insertion, location, motion
 from fe_el.particles.open_boundaries import OpenBoundaries
 

@@ -1,0 +1,1 @@
+"""How loops are compiled: one version per dimension, vector rows, arrays without reference counts."""

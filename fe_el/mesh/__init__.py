@@ -1,0 +1,1 @@
+"""Meshes: reading, boxes, partition, and their cells as plain arrays."""

@@ -1,0 +1,65 @@
+"""Boxes of simplices with tagged sides, for scripts."""
+from functools import partial
+
+import numpy as np
+from dolfinx import mesh as dmesh
+from mpi4py import MPI
+
+from fe_el.dolfinx_api import geometry_nodes
+from fe_el.mesh.partition import create_mesh
+
+SIDES = {"x-": 1, "x+": 2, "y-": 3, "y+": 4, "z-": 5, "z+": 6}
+
+
+def check_box(lengths, cells):
+    """Raise ``ValueError`` unless there are 2 or 3 positive lengths and as many positive numbers of cells."""
+    d = len(lengths)
+    if d not in (2, 3) or len(cells) != d or not np.all(np.array(lengths, float) > 0) or min(cells) < 1:
+        raise ValueError(f"The box has lengths {list(lengths)} and cells {list(cells)}; give 2 or 3 positive numbers each.")
+
+
+def _on_side(k, at, tolerance, x):
+    """Whether points x (3, points) have coordinate k at a value."""
+    return np.abs(x[k] - at) < tolerance
+
+
+def box(lengths, cells, comm=MPI.COMM_WORLD, slices_along=None):
+    """A rectangle (crossed triangles) or box (tetrahedra) from the origin.
+
+    Args:
+        lengths: 2 or 3 edge lengths [m].
+        cells: squares or cubes per direction.
+        slices_along (int): axis across which every rank gets a slice; absent: dolfinx partitions by the graph of cells.
+
+    Returns:
+        (mesh, facet_tags): the sides x-, x+, y-, y+, z-, z+ have the tags 1 to 6.
+
+    Raises:
+        ValueError: for lengths or numbers that are not positive.
+
+    Note:
+        Collective.
+    """
+    check_box(lengths, cells)
+    d = len(lengths)
+    whole = comm
+    if slices_along is not None:
+        comm = MPI.COMM_SELF
+    corners = [np.zeros(d), np.asarray(lengths, float)]
+    if d == 2:
+        mesh = dmesh.create_rectangle(comm, corners, cells, dmesh.CellType.triangle, ghost_mode=dmesh.GhostMode.shared_facet,
+                                      diagonal=dmesh.DiagonalType.crossed)
+    else:
+        mesh = dmesh.create_box(comm, corners, cells, dmesh.CellType.tetrahedron, ghost_mode=dmesh.GhostMode.shared_facet)
+    if slices_along is not None:
+        nodes = geometry_nodes(mesh) if whole.rank == 0 else np.zeros((0, d + 1), np.int64)
+        mesh = create_mesh(whole, nodes, mesh.geometry.x[:, :d] if whole.rank == 0 else np.zeros((0, d)), slices_along)
+    facets, values = [], []
+    for k in range(d):
+        for side, at in enumerate((0.0, lengths[k])):
+            found = dmesh.locate_entities_boundary(mesh, d - 1, partial(_on_side, k, at, 1e-10 * lengths[k]))
+            facets.append(found)
+            values.append(np.full(len(found), 2 * k + side + 1, np.int32))
+    facets, values = np.concatenate(facets), np.concatenate(values)
+    order = np.argsort(facets, kind="stable")
+    return mesh, dmesh.meshtags(mesh, d - 1, facets[order], values[order])

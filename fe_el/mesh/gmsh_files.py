@@ -1,0 +1,131 @@
+"""Meshes from gmsh's files, with the numbers of their physical groups."""
+import re
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from mpi4py import MPI
+
+from fe_el.checks import positive_number
+from fe_el.dolfinx_api import tags_by_vertices
+from fe_el.mesh.partition import create_mesh
+from fe_el.parallel.failures import end_all_ranks_on_errors
+
+
+def read_mesh(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None, scale=1.0):
+    """Read a gmsh ``.msh`` file with physical groups: (mesh, cell tags, facet tags).
+
+    ``slices_along`` (0, 1 or 2) gives every rank a slice across that axis; absent: dolfinx partitions by the graph of cells.
+    ``scale`` multiplies all coordinates: 0.001 for a mesh in millimetres. Names that gmsh has for groups stand for their
+    numbers wherever facet tags and groups are taken; ``facet_tags.names`` holds them.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: for a file that gmsh cannot read, cells that are not simplices, or cells that are not in exactly one
+            group.
+    """
+    import gmsh
+    end_all_ranks_on_errors(comm)
+    scale = positive_number("scale of the mesh", scale)
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"There is no mesh file {path}; give the path of a gmsh .msh file.")
+    message = None
+    if comm.rank == 0:
+        gmsh.initialize()
+        gmsh.option.setNumber("General.Terminal", 0)
+        try:
+            gmsh.open(str(path))
+        except Exception as error:  # gmsh raises nothing narrower
+            message = f"gmsh cannot read {path}: {error}; give a .msh file that gmsh wrote."
+    _end_if(gmsh, comm, message)
+    return _from_gmsh(gmsh, comm, dimension, slices_along, scale)
+
+
+def mesh_geo(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None, **parameters):
+    """Mesh a gmsh ``.geo`` file with the given values of its parameters: (mesh, cell tags, facet tags).
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: for a parameter that the file does not define in ``DefineConstant``, or cells that are not simplices.
+    """
+    import gmsh
+    end_all_ranks_on_errors(comm)
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"There is no geometry file {path}; give the path of a gmsh .geo file.")
+    blocks = re.findall(r"DefineConstant\s*\[(.*?)\]", Path(path).read_text(), re.DOTALL)
+    known = sorted(set(re.findall(r"(\w+)\s*=", " ".join(blocks))))
+    for name in parameters:
+        if name not in known:
+            raise ValueError(f"{Path(path).name} has no parameter {name!r}; it has {', '.join(known) or 'none'}.")
+    if comm.rank == 0:
+        gmsh.initialize(["fe_el", "-v", "0"])
+        with tempfile.TemporaryDirectory() as folder:  # numbers on gmsh's command line would stay in force until Python ends
+            lines = [f"{name} = {float(value)!r};\n" for name, value in parameters.items()]
+            (Path(folder) / "scene.geo").write_text("".join(lines) + f'Include "{Path(path).resolve()}";\n')
+            gmsh.open(str(Path(folder) / "scene.geo"))
+        gmsh.model.mesh.generate(dimension)
+    return _from_gmsh(gmsh, comm, dimension, slices_along)
+
+
+def _end_if(gmsh, comm, message):
+    """Close gmsh and raise ``ValueError`` on every rank if rank 0 has a message. Collective."""
+    message = comm.bcast(message)
+    if message:
+        if comm.rank == 0:
+            gmsh.finalize()
+        raise ValueError(message)
+
+
+def _fault(gmsh, dimension):
+    """What makes gmsh's present model no mesh for fe_el, in a sentence; ``None``: nothing."""
+    model, wanted = gmsh.model, {2: "Triangle 3", 3: "Tetrahedron 4"}[dimension]
+    kinds = [model.mesh.getElementProperties(k)[0] for k in model.mesh.getElementTypes(dimension)]
+    if any(k != wanted for k in kinds) or not kinds:
+        return (f"The mesh has cells of type {', '.join(kinds) or 'none'}; fe_el needs {wanted} (first-order simplices). "
+                f"Mesh again "
+                f"in {dimension} dimensions, without Recombine and with ElementOrder 1, or give another dimension=.")
+    what = {2: "Surface", 3: "Volume"}[dimension]
+    for _, tag in model.getEntities(dimension):
+        groups = model.getPhysicalGroupsForEntity(dimension, tag)
+        if len(groups) != 1:
+            return (f"{what} {tag} is in {len(groups)} physical groups ({', '.join(map(str, groups)) or 'none'}); every "
+                    f"{what.lower()} "
+                    f"needs exactly one (gmsh: Physical {what}).")
+    if dimension == 2:
+        z = np.asarray(model.mesh.getNodes()[1])[2::3]
+        if len(z) and np.ptp(z) > 1e-9 * max(np.abs(model.mesh.getNodes()[1]).max(), 1e-300):
+            return "The two-dimensional mesh does not lie in a plane of constant z; turn it into the x-y plane."
+    return None
+
+
+def _elements(model, dimension, number):
+    """Vertices (elements, dimension+1) as ``number`` says, and physical group (elements,), of gmsh's elements."""
+    vertices, groups = [np.zeros((0, dimension + 1), np.int64)], [np.zeros(0, np.int32)]
+    for _, group in model.getPhysicalGroups(dimension):
+        for entity in model.getEntitiesForPhysicalGroup(dimension, group):
+            for nodes in model.mesh.getElements(dimension, entity)[2]:
+                vertices.append(number[np.asarray(nodes, np.int64)].reshape(-1, dimension + 1))
+                groups.append(np.full(len(vertices[-1]), group, np.int32))
+    return np.concatenate(vertices), np.concatenate(groups)
+
+
+def _from_gmsh(gmsh, comm, dimension, slices_along, scale=1.0):
+    """The mesh of gmsh's present model on rank 0, which is closed. Collective."""
+    _end_if(gmsh, comm, _fault(gmsh, dimension) if comm.rank == 0 else None)
+    d = dimension
+    x, cells, facets = np.zeros((0, d)), np.zeros((0, d + 1), np.int64), np.zeros((0, d), np.int64)
+    cell_groups = facet_groups = np.zeros(0, np.int32)
+    names = None
+    if comm.rank == 0:
+        tags, points, _ = gmsh.model.mesh.getNodes()
+        order = np.argsort(tags)
+        x, number = points.reshape(-1, 3)[order, :d], np.zeros(int(tags.max()) + 1, np.int64)
+        number[tags[order]] = np.arange(len(tags))
+        cells, cell_groups = _elements(gmsh.model, d, number)
+        facets, facet_groups = _elements(gmsh.model, d - 1, number)
+        names = {gmsh.model.getPhysicalName(d, tag): tag for d, tag in gmsh.model.getPhysicalGroups(d - 1)}
+        gmsh.finalize()
+    mesh = create_mesh(comm, cells, scale * x, slices_along)
+    facet_tags = tags_by_vertices(mesh, d - 1, facets, facet_groups)
+    facet_tags.names = {name: tag for name, tag in comm.bcast(names).items() if name}
+    return mesh, tags_by_vertices(mesh, d, cells, cell_groups), facet_tags

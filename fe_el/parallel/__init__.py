@@ -1,0 +1,1 @@
+"""Between ranks: halo exchange, messages from compiled code, errors that end all ranks."""

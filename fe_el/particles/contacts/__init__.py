@@ -1,0 +1,1 @@
+"""Contacts: laws, lists of pairs and of walls, forces, sub-steps."""

@@ -1,0 +1,321 @@
+"""The lists that contacts run on: ghosts, neighbour pairs, particles near walls, and the springs of each."""
+import numpy as np
+
+from fe_el.mesh import cell_mesh as _mesh
+from fe_el.parallel.exchange import largest_of, move
+from fe_el.particles import motion
+from fe_el.particles.contacts import neighbours, waves
+from fe_el.particles.contacts import walls as _walls
+from fe_el.particles.contacts.law_kernels import aligned
+from fe_el.particles.contacts.wall_patches import smooth_patches
+from fe_el.particles.contacts.wall_shapes import FACETS, shape_list
+from fe_el.particles.ghosts import Ghosts
+
+SORT_EVERY = 8  # rebuilds
+AHEAD = 80  # sub-steps that particles and walls have room for at their present speed
+WIDEST = 0.5  # room at most, over the largest diameter
+
+
+class ContactLists:
+    """Neighbour pairs, facet contacts and contacts with planes and cylinders.
+
+    Every particle has room to move in before the lists are out of date: half the skin, and more if it is fast. A pair is
+    listed if its surfaces are closer than the room of both, a facet or wall if it is closer than the room of the particle,
+    with the room of the walls themselves if these move.
+
+    Args:
+        particles (Particles): the particles.
+        walls: list of walls.
+        skin (float): reach beyond contact, alike for all pairs [m]; absent: such that a list lasts some hundred sub-steps.
+        width (int): numbers kept per contact: tangential spring and normal velocity, and the rolling spring if any.
+    """
+
+    def __init__(self, particles, walls, skin, width):
+        self.particles, self.walls, self._skin, self.width = particles, walls, skin, width
+        self.skin, self.age, self.rebuilds, self._reach, self._cells = skin, 0, 0, -1.0, None
+        self._ahead, self._most, self.wall_room, self.wall_rate = 0.0, np.inf, 0.0, 0.0
+        parts = [(_mesh.boundary_facets(particles.mesh, w.facet_tags, w.groups), k) for k, w in enumerate(walls)
+                 if w.kind == FACETS]
+        self.meeting, self.facets = 1, None
+        self.facet_rows = (np.zeros((0, 3, 3)), np.zeros((0, 3), np.uint32), np.zeros(0, np.uint32), np.zeros((0, 12)),
+                           np.zeros((0, 2), np.int64))
+        if parts:
+            self.facets = tuple(np.concatenate([f[i] for f, _ in parts]) for i in range(3))
+            self.balls = _walls.facet_balls(self.facets[0])
+            wall = np.concatenate([np.full(len(f[2]), k, np.uint32) for f, k in parts])
+            patch, self.meeting = smooth_patches(*self.facets[:2])
+            self.facet_rows = (self.facets[0], self.facets[1].astype(np.uint32), wall, _walls.facet_frames(self.facets[0]),
+                               patch)
+        self.kind, self.wall_top = np.array([w.kind for w in walls] or [FACETS], np.int64), 0.0
+        self.motion, self.shape, self.wall_material = self._wall_rows()
+        self.tile_starts, self.strips, self.tile_layout, self.waves = None, 1, None, waves.NONE
+        self.ghosts, self.springs, self.restored, self.has_shapes = None, None, None, bool((self.kind != FACETS).any())
+        self.first = self.second = None
+
+    def _wall_rows(self):
+        """Motion, shape and material of all walls."""
+        return (np.array([w.motion() for w in self.walls] or [np.zeros(9)]),
+                np.array([getattr(w, "shape", np.zeros(4)) for w in self.walls] or [np.zeros(4)]),
+                np.array([w.material for w in self.walls] or [0], np.int64))
+
+    def take_up(self):
+        """Take up walls as the user has set them; whether these, or particles changed since, put the lists out of date."""
+        before, shapes = (self.motion, self.shape), self.kind != FACETS
+        self.motion, self.shape, self.wall_material = self._wall_rows()
+        jumped = (self.motion[:, :3] != before[0][:, :3]).any(1) | (self.shape != before[1]).any(1)
+        faster = (self.motion[:, 3:] != before[0][:, 3:]).any() and self._wall_speed() > self.wall_top
+        return bool((jumped & shapes).any()) or faster or self._particles_changed()
+
+    def _particles_changed(self):
+        p, n = self.particles, len(self.particles)
+        if self.ghosts is None or self.ghosts.owned != n:
+            return False
+        return not (np.array_equal(p.diameter / 2, self.radius[:n]) and np.array_equal(p.position, self.x[:n])
+                    and np.array_equal(np.where(p.held, 0.0, 1 / p.mass), self.inverse_mass[:n])
+                    and np.array_equal(p.material, self.material[:n]))
+
+    def move_walls(self):
+        """Tell planes and cylinders where they are now."""
+        for k, wall in enumerate(self.walls):
+            if wall.kind != FACETS:
+                wall.moved(self.motion[k, :3], self.shape[k])
+
+    def with_walls(self, walls, step, layout):
+        """New lists for other walls, with the springs of all contacts that stay."""
+        new, kept = ContactLists(self.particles, walls, self._skin, self.width), self._collect(step, layout)
+        new.skin, new.rebuilds, new.restored = self.skin, self.rebuilds, [kept[0]]
+        for (particle, partner, spring), old, now in zip(kept[1:], *(x._of_walls() for x in (self, new))):
+            to = np.full(len(old) + 1, -1)
+            for k, wall in enumerate(self.walls):
+                if wall in walls:
+                    to[:-1][old == k] = np.flatnonzero(now == walls.index(wall))
+            stays = to[partner] >= 0
+            new.restored.append((particle[stays], to[partner[stays]], spring[stays]))
+        if self.ghosts is not None:
+            self.ghosts.free()
+        return new
+
+    def _of_walls(self):
+        """Number of the wall of each partner in the lists of facets and of shapes."""
+        return self.facet_rows[2], np.arange(len(self.walls))
+
+    def _wall_speed(self):
+        """Largest speed of a wall that moves, where the particles of this rank are [m/s]."""
+        if not self.has_shapes:
+            return 0.0
+        moving = self.motion[self.kind != FACETS]
+        size = np.ptp(self.particles.position, 0).max(initial=0.0) if len(self.particles) else 0.0
+        return float((np.linalg.norm(moving[:, 3:6], axis=1) + np.linalg.norm(moving[:, 6:], axis=1) * size).max())
+
+    def has_moving_shapes(self):
+        """Whether a plane or cylinder moves."""
+        return bool(self.motion[self.kind != FACETS, 3:].any())
+
+    def pack(self, external):
+        """Positions, and rows of state and of forces, of owned and ghost particles; the same memory until renewed."""
+        p = self.particles
+        motion.pack(p.position, p.velocity, p.angular_velocity, external, p.contact_force, p.contact_torque, self.x,
+                    self.state,
+                    self.force)
+        self.ghosts.forward_state(self.x, self.state)
+        return self.x, self.state, self.force
+
+    # -- renewal -------------------------------------------------------------------------------------------------------
+
+    def rebuild(self, h, step, layout):
+        """Locate, migrate, sort, exchange ghosts and make the lists, keeping the springs of live contacts."""
+        p, comm = self.particles, self.particles.comm
+        kept = self._collect(step, layout)
+        largest, speed, inverse = largest_of(comm, *((p.diameter.max(), p.speed(),
+                                                      1 / p.diameter.min()) if len(p) else np.zeros(3)))
+        self._choose_skin(1 / max(inverse, 1e-300), largest, speed, h)
+        self._choose_wall_room(largest, h)
+        widest = self._room(speed)
+        self._check_period(largest, widest)
+        p.reach_halo(2 * (largest + self.skin))
+        if self.facets is not None and (self._reach < largest / 2 + widest or self._cells is not p.cells):
+            self._reach, self._cells = 1.2 * (largest / 2 + widest), p.cells
+            self._candidates = _walls.wall_candidates(p.cells, self.facets[0], self._reach)
+        before, destination = p.id, p.locate()
+        if destination is not None:
+            kept = self._move_springs(kept, destination, before)
+        in_tiles = comm.size == 1 and len(p) >= waves.FROM
+        if self.rebuilds % SORT_EVERY == 0 or layout is None or in_tiles and self.tile_layout != p.layout:
+            kept = self._sort(kept, largest + self.skin, in_tiles)
+        if self.ghosts is not None:
+            self.ghosts.free()
+        self.ghosts = Ghosts(comm, p.position, largest + 2 * widest, p.period)
+        speeds = np.sqrt((p.velocity ** 2).sum(1))
+        room = self._room(speeds)
+        x, pairs = self._pairs(room)
+        self.radius = self.ghosts.grow(p.diameter / 2)
+        self.inverse_mass = self.ghosts.grow(np.where(p.held, 0.0, 1 / p.inertia))
+        self.ids, self.material = self.ghosts.grow(p.id), self.ghosts.grow(p.material).view(np.uint32)
+        self.x, (self.state, self.force) = np.empty((len(self.radius), 3)), (aligned(len(self.radius), 8) for _ in range(2))
+        self.state[:, 0], self.state[:, 7] = self.radius, self.inverse_mass / self.radius
+        self._lists(x, pairs, self.ghosts.grow(room), kept, step)
+        self.x0, self.age = np.column_stack([p.position, (room - h * speeds) ** -2]), 0  # out of date a sub-step early
+        self.rebuilds += 1
+
+    def weigh(self):
+        """Take the particles' inertia as it is now. Collective."""
+        p = self.particles
+        self.inverse_mass[:] = self.ghosts.grow(np.where(p.held, 0.0, 1 / p.inertia))
+        self.state[:, 7] = self.inverse_mass / self.radius
+
+    def _choose_skin(self, smallest, largest, speed, h):
+        """A skin that lasts some hundred sub-steps with the room that speed adds; always several of the fastest particle."""
+        if self._skin is None:
+            if self.skin is None:
+                self.skin = 0.1 * smallest
+            elif self.age < 160:
+                self.skin *= 1.25
+            elif self.age > 400:
+                self.skin *= 0.9
+            self.skin = min(max(self.skin, 0.04 * smallest), 0.2 * smallest)
+            self._ahead, self._most = AHEAD * h, max(0.5 * self.skin, self._widest(largest), 3 * h * speed)
+        elif 4 * h * speed > self.skin:
+            raise ValueError(f"The fastest particle moves {h * speed:g} m in one sub-step of {h:g} s, too much for the skin "
+                             f"of "
+                             f"{self.skin:g} m; leave skin= out, or use more steps_per_contact.")
+        if self._room(speed) > largest > 0:
+            raise FloatingPointError(f"The fastest particle (velocity {speed:g} m/s) moves {h * speed:g} m in one sub-step "
+                                     f"of "
+                                     f"{h:g} s, more than a third of the largest diameter {largest:g} m: contacts would be "
+                                     f"missed. Use a step below {0.2 * largest / speed:g} s: more steps_per_contact, or a "
+                                     "stiffer law.")
+
+    def _choose_wall_room(self, largest, h):
+        """How far planes and cylinders may move before the lists are out of date [m], and their speed over that [1/s]."""
+        speed = self.wall_top = largest_of(self.particles.comm, max(self._wall_speed(), self.wall_top))[0]
+        self.wall_room = max(0.5 * self.skin, min(AHEAD * h * speed, WIDEST * largest), 3 * h * speed) if speed else 0.0
+        self.wall_rate = speed / self.wall_room if speed else 0.0
+
+    def _widest(self, largest):
+        """Room of the fastest particles [m], such that ghosts remain few and contacts in a periodic box unique."""
+        period = self.particles.period
+        short = np.inf if period is None or not (period > 0).any() else period[period > 0].min()
+        return min(WIDEST * largest, 0.24 * short - 0.5 * largest)
+
+    def _room(self, speed):
+        """How far particles of a speed [m/s] may move before the lists are out of date [m]."""
+        return np.minimum(0.5 * self.skin + self._ahead * speed, self._most)
+
+    def _check_period(self, largest, widest):
+        p, need = self.particles, 2 * (largest + 2 * widest)
+        if p.period is not None and ((p.period > 0) & (p.period < need)).any():
+            raise ValueError(f"The periodic box has lengths {p.period.tolist()}; contacts of particles of diameter "
+                             f"{largest:g} m "
+                             f"need at least {need:g} m in every periodic direction.")
+
+    def _sort(self, kept, size, in_tiles):
+        """Order the particles by boxes of two reaches along a Morton curve, for cache locality, and by tiles before that."""
+        p = self.particles
+        if not len(p):
+            return kept
+        tile, self.strips = waves.tiles(p.position, p.period, size) if in_tiles else (np.zeros(len(p), np.int64), 1)
+        order = np.lexsort((p.id, neighbours.morton_code(p.position, neighbours.bounds(p.position)[0], 2 * size), tile))
+        place = np.empty_like(order)
+        place[order] = np.arange(len(order))
+        p.select(order)
+        self.tile_layout = p.layout if in_tiles else None
+        count = -(-(int(tile.max()) + 1) // self.strips) * self.strips  # whole slabs
+        self.tile_starts = np.concatenate([[0], np.cumsum(np.bincount(tile, minlength=count))])
+        return [(place[particle], partner, spring) for particle, partner, spring in kept]
+
+    def _collect(self, step, layout):
+        """Springs of the live contacts of the present lists."""
+        none = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, self.width)))
+        if self.springs is None:
+            kept, self.restored = self.restored or [none] * 3, None  # of a checkpoint
+            return kept
+        n = self.ghosts.owned
+        out = [neighbours.collect_springs(*where, self.springs[k], self.stamps[k], step, k == 0, n, self.ids)
+               for k, where in enumerate(self._partners())]
+        return out if layout == self.particles.layout else [self._renumber(*kept) for kept in out]
+
+    def _renumber(self, particle, partner, spring):
+        """Rows of the particles as they are now, after some were inserted or removed."""
+        ids, old = self.particles.id, self.ids[:self.ghosts.owned]
+        order = np.argsort(ids)
+        place = np.searchsorted(ids, old, sorter=order)
+        row = order[np.minimum(place, len(order) - 1)] if len(order) else np.zeros(len(old), np.int64)
+        here = ids[row] == old if len(order) else np.zeros(len(old), bool)
+        keep = here[particle]
+        return row[particle[keep]], partner[keep], spring[keep]
+
+    def _partners(self):
+        """First particle, the other's place, and lasting numbers of all others, of each list."""
+        walls = np.arange(len(self.facet_rows[2])), np.arange(len(self.walls))
+        return ((self.first, self.second, self.ids), (self.wall_particle, self.wall_facet, walls[0]),
+                (self.shape_particle, self.shape_wall, walls[1]))
+
+    def _move_springs(self, kept, destination, ids_before):
+        """Send the springs of particles that changed rank after them."""
+        comm, leaving, out = self.particles.comm, destination != self.particles.comm.rank, []
+        place = np.cumsum(~leaving) - 1
+        stayed = int((~leaving).sum())
+        arrived = self.particles.id[stayed:]  # they stand behind those that stayed
+        order = np.argsort(arrived)
+        for particle, partner, spring in kept:
+            go = leaving[particle]
+            who = ids_before[particle[go]]
+            ids, other, stretch = move(comm, destination[particle[go]], [who, partner[go], spring[go]])
+            index = stayed + order[np.searchsorted(arrived, ids, sorter=order)]
+            out.append((np.concatenate([place[particle[~go]], index]), np.concatenate([partner[~go], other]),
+                        np.concatenate([spring[~go], stretch])))
+        return out
+
+    def _pairs(self, room):
+        """Positions and pairs with the ghosts that have a partner here; the others are given up."""
+        p, n = self.particles, len(self.particles)
+        x = self.ghosts.grow(p.position)
+        x[n:] += self.ghosts.shift
+        before = 0 if self.first is None else len(self.first)
+        first, second = neighbours.neighbour_pairs(x, self.ghosts.grow(p.diameter / 2 + room), n, before + before // 4)
+        held = self.ghosts.grow(p.held)
+        if held.any():  # two that are held have no reduced mass
+            free = ~(held[first] & held[second])
+            first, second = first[free], second[free]
+        used = np.zeros(len(x), bool)
+        used[:n] = True
+        used[second] = True
+        self.ghosts.keep(used[n:])
+        return x[used], (first, (np.cumsum(used) - 1).astype(np.uint32)[second])
+
+    def _lists(self, x, pairs, room, kept, step):
+        """Pairs, facets and shapes near each particle, with the kept springs."""
+        p, n = self.particles, len(self.particles)
+        self.first, self.second = pairs
+        in_tiles = self.tile_layout == p.layout
+        if in_tiles:
+            count = len(self.tile_starts) - 1
+            tile = self.ghosts.grow(np.repeat(np.arange(count), np.diff(self.tile_starts)))
+            self.first, self.second, pair_starts, *apart = waves.by_tile(*pairs, tile, self.strips, count)
+        self.gap = neighbours.gaps(x, self.radius, room, self.first, self.second)
+        empty, reach = np.zeros(0, np.uint32), self.radius + room
+        self.wall_particle = self.wall_facet = self.shape_particle = self.shape_wall = empty
+        if self.facets is not None:
+            near = _walls.wall_list(x, reach, p.cell, *self._candidates, self.facets[0], self.balls)
+            self.wall_particle, self.wall_facet = (a[~p.held[near[0]]].view(np.uint32) for a in near)
+        if self.has_shapes:
+            near = shape_list(x, reach + self.wall_room, n, self.kind, self.shape, self.motion)
+            self.shape_particle, self.shape_wall = (a[~p.held[near[0]]].view(np.uint32) for a in near)
+        self.scratch = _walls.scratch(self.wall_particle)
+        self.wall_gap = _walls.wall_gaps(x, self.radius, room, self.wall_particle, self.wall_facet, self.facet_rows[0])
+        self.listed, self.wall_listed = (np.empty(len(a) + 1, np.uint32) for a in (self.gap, self.wall_gap))
+        self.near = (-1.0, 0, 0)  # see update_near
+        self.waves = waves.NONE
+        if in_tiles:
+            images = np.argsort(tile[n:], kind="stable")
+            places = [np.searchsorted(a, b) for a, b in ((self.wall_particle, self.tile_starts),
+                                                         (self.shape_particle, self.tile_starts),
+                                                         (tile[n:][images], np.arange(count + 1)))]
+            self.waves = (self.tile_starts, pair_starts, *places, images, self.strips, *apart,
+                          *waves.at_once(n, count // self.strips, apart[0], self.strips, apart[1]))
+        self.springs, self.stamps = [], []
+        for where, old in zip(self._partners(), kept):
+            spring, stamp = aligned(len(where[0]), self.width), np.empty(len(where[0]), np.int32)
+            neighbours.restore_springs(*where, n, *old, step, spring, stamp)
+            self.springs.append(spring)
+            self.stamps.append(stamp)

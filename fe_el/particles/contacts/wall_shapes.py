@@ -1,0 +1,166 @@
+"""Walls: tagged boundary facets of the mesh, and planes and cylinders that may move."""
+import numpy as np
+
+from fe_el.checks import finite_vector, positive_number, whole_number
+from fe_el.compiled.cache import njit
+from fe_el.particles.contacts.law_kernels import BLOCK, FAST
+from fe_el.particles.contacts.wall_blocks import add_contact, finish_block
+
+PLANE, CYLINDER, FACETS = 0, 1, 2
+
+
+def _direction(name, value, wanted):
+    v = finite_vector(f"{name} of a wall", value)
+    length = np.linalg.norm(v)
+    if not length > 0:
+        raise ValueError(f"The {name} of a wall is zero; give {wanted}.")
+    return v if abs(length - 1) < 1e-12 else v / length  # one that is of length 1 already stays to the last digit
+
+
+class _Wall:
+    """A wall with a material and a rigid motion: ``velocity`` [m/s] and ``angular_velocity`` [1/s] about ``point`` [m].
+
+    What is set anew between two steps counts from the next step on; ``point`` and direction of planes and cylinders move.
+    """
+
+    def __init__(self, point, material, velocity, angular_velocity):
+        self.material, self.point, self.velocity, self.angular_velocity = material, point, velocity, angular_velocity
+        self.force = np.zeros(3)  #: mean force of the particles on the wall over the last advance [N]
+        self.motion()
+
+    def motion(self):
+        """Origin, velocity and rotation in one row, after checking them and the material."""
+        self.material = whole_number("material of a wall", self.material, 0)
+        self.point = finite_vector("point of a wall", self.point)
+        self.velocity = finite_vector("velocity of a wall", self.velocity)
+        self.angular_velocity = finite_vector("angular velocity of a wall", self.angular_velocity)
+        return np.concatenate([self.point, self.velocity, self.angular_velocity])
+
+
+class FacetWalls(_Wall):
+    """Tagged boundary facets of the mesh.
+
+    The facets stay where they are; ``velocity`` and ``angular_velocity`` are those of their surface (a conveyor, a drum).
+
+    Args:
+        facet_tags: dolfinx MeshTags of facets.
+        groups: tags of the facets that are walls.
+        material (int): index into the law's material table.
+        velocity, angular_velocity, point: motion of the surface; angular about ``point``.
+    """
+
+    kind = FACETS
+
+    def __init__(self, facet_tags, groups, material=0, velocity=(0, 0, 0), angular_velocity=(0, 0, 0), point=(0, 0, 0)):
+        super().__init__(point, material, velocity, angular_velocity)
+        self.facet_tags, self.groups = facet_tags, groups
+
+
+class PlaneWall(_Wall):
+    """A plane through ``point`` whose ``normal`` points to the particles; it travels with ``velocity``.
+
+    Raises:
+        ValueError: for a normal of length zero.
+    """
+
+    kind = PLANE
+
+    def __init__(self, point, normal, material=0, velocity=(0, 0, 0), angular_velocity=(0, 0, 0)):
+        super().__init__(point, material, velocity, angular_velocity)
+        self.normal = normal
+        self.normal = self.shape[:3]
+
+    @property
+    def shape(self):
+        """The unit normal, and a zero."""
+        return np.array([*_direction("normal", self.normal, "the direction from the wall to the particles"), 0.0])
+
+    def moved(self, point, shape):
+        """Take up where the wall is now."""
+        self.point, self.normal = point.copy(), shape[:3].copy()
+
+
+class CylinderWall(_Wall):
+    """An infinite cylinder around ``axis`` through ``point``; particles are inside it, or outside of it if asked.
+
+    Raises:
+        ValueError: for an axis of length zero or a radius that is not positive.
+    """
+
+    kind = CYLINDER
+
+    def __init__(self, point, axis, radius, outside=False, material=0, velocity=(0, 0, 0), angular_velocity=(0, 0, 0)):
+        super().__init__(point, material, velocity, angular_velocity)
+        self.axis, self.radius, self.outside = axis, radius, bool(outside)
+        self.axis = self.shape[:3]
+
+    @property
+    def shape(self):
+        """The unit axis, and the radius, negative if particles are outside."""
+        self.radius = positive_number("radius of a cylinder wall", self.radius)
+        return np.array([*_direction("axis", self.axis, "its direction"), -self.radius if self.outside else self.radius])
+
+    def moved(self, point, shape):
+        """Take up where the wall is now."""
+        self.point, self.axis = point.copy(), shape[:3].copy()
+
+
+@njit(fastmath=FAST, inline="always")
+def _surface_point(kind, shape, origin, x, y, z):
+    """Nearest point of a plane or cylinder, and the distance (negative behind the wall)."""
+    dx, dy, dz = x - origin[0], y - origin[1], z - origin[2]
+    along = dx * shape[0] + dy * shape[1] + dz * shape[2]
+    if kind == PLANE:
+        return x - along * shape[0], y - along * shape[1], z - along * shape[2], along
+    ax, ay, az = origin[0] + along * shape[0], origin[1] + along * shape[1], origin[2] + along * shape[2]
+    rx, ry, rz = x - ax, y - ay, z - az
+    r, radius = np.sqrt(rx * rx + ry * ry + rz * rz) + 1e-300, abs(shape[3])
+    q = radius / r
+    return ax + q * rx, ay + q * ry, az + q * rz, radius - r if shape[3] > 0 else r - radius
+
+
+@njit
+def shape_list(x, reach, owned, kind, shape, motion):
+    """Pairs (particle, wall) within reach (particles,) [m] of planes and cylinders."""
+    particle, wall = [np.int32(0) for _ in range(0)], [np.int32(0) for _ in range(0)]
+    for i in range(owned):
+        for n in range(len(kind)):
+            if kind[n] < 2 and _surface_point(kind[n], shape[n], motion[n], x[i, 0], x[i, 1], x[i, 2])[3] < reach[i]:
+                particle.append(np.int32(i))
+                wall.append(np.int32(n))
+    return np.array(particle, dtype=np.int32), np.array(wall, dtype=np.int32)
+
+
+@njit(fastmath=FAST)
+def shape_forces(x, state, force, radius, inverse_mass, material, particle, wall, spring, stamp, step, kind, shape,
+                 motion, wall_material, wall_force, deepest, block, numbers, h):
+    """Add the contact forces of planes and cylinders; returns the number of contacts, or -1 - i where i is behind one."""
+    touching, m, bad, total = 0, 0, 0, len(particle)
+    for k in range(total):
+        i, n = particle[k], wall[k]
+        px, py, pz, distance = _surface_point(kind[n], shape[n], motion[n], x[i, 0], x[i, 1], x[i, 2])
+        if distance < radius[i]:
+            if not distance > 0:
+                bad = -1 - np.int64(i)
+            add_contact(block, m, i, k, n, x[i, 0] - px, x[i, 1] - py, x[i, 2] - pz, radius[i], 1.0)
+            m += 1
+        if m == BLOCK or k == total - 1:
+            finish_block(block, m, x, state, force, material, spring, stamp, step, motion, wall_material, wall_force,
+                         deepest, numbers, h)
+            touching, m = touching + m, 0
+    return bad if bad < 0 else touching
+
+
+@njit
+def move_walls(kind, shape, motion, h):
+    """Carry planes and cylinders along with their velocity, and turn their normal or axis with their rotation."""
+    for n in range(len(kind)):
+        if kind[n] < 2:
+            for k in range(3):
+                motion[n, k] += h * motion[n, 3 + k]
+            ax, ay, az = shape[n, 0], shape[n, 1], shape[n, 2]
+            ax += h * (motion[n, 7] * shape[n, 2] - motion[n, 8] * shape[n, 1])
+            ay += h * (motion[n, 8] * shape[n, 0] - motion[n, 6] * shape[n, 2])
+            az += h * (motion[n, 6] * shape[n, 1] - motion[n, 7] * shape[n, 0])
+            length = np.sqrt(ax * ax + ay * ay + az * az)
+            shape[n, 0], shape[n, 1], shape[n, 2] = ax / length, ay / length, az / length

@@ -1,0 +1,241 @@
+"""Contacts with the tagged boundary facets of the mesh.
+
+A sphere touches the wall where its distance to the *surface* has a local minimum: a point on an edge or a vertex counts
+only if it is the nearest point of every facet that meets there, and counts once. So no seam between facets is ever felt,
+and concave and convex edges are right without special cases. Contacts with one smooth piece of wall are joined, see
+:mod:`fe_el.particles.contacts.wall_patches`.
+"""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from fe_el.compiled.cache import njit
+from fe_el.particles.contacts.law_kernels import BLOCK, FAST
+from fe_el.particles.contacts.wall_blocks import add_contact, finish_block
+from fe_el.particles.contacts.wall_patches import holds_feature, join_contacts, patch_scratch
+
+B = BLOCK
+
+
+def wall_candidates(cells, facet_corner, reach):
+    """Facets within ``reach`` of each cell: (start, facet)."""
+    centre = cells.corner.mean(1)
+    radius = np.sqrt(((cells.corner - centre[:, None]) ** 2).sum(2).max(1))
+    middle = facet_corner.mean(1)
+    size = np.sqrt(((facet_corner - middle[:, None]) ** 2).sum(2).max(1))
+    near = cKDTree(middle).query_ball_point(centre, radius + size.max() + reach, return_sorted=True)
+    start = np.concatenate([[0], np.cumsum([len(k) for k in near])]).astype(np.int64)
+    facet = np.concatenate([np.asarray(k, np.int32) for k in near]).astype(np.int32)
+    return _closer(centre, radius + reach, start, facet, facet_corner)
+
+
+@njit
+def _closer(centre, reach, start, facet, corner):
+    """Keep the facets whose nearest point is within reach of each centre."""
+    new, kept, number = np.zeros_like(start), np.empty_like(facet), 0
+    for c in range(len(centre)):
+        x, y, z = centre[c]
+        for k in range(start[c], start[c + 1]):
+            qx, qy, qz, _, _, _ = nearest_point(corner[facet[k]], x, y, z)
+            if (qx - x) ** 2 + (qy - y) ** 2 + (qz - z) ** 2 <= reach[c] * reach[c]:
+                kept[number] = facet[k]
+                number += 1
+        new[c + 1] = number
+    return new, kept[:number].copy()
+
+
+@njit(fastmath=FAST)
+def nearest_point(corner, x, y, z):
+    """Nearest point of a triangle or segment, with its barycentric weights (Ericson, Real-Time Collision Detection)."""
+    ax, ay, az = corner[0, 0], corner[0, 1], corner[0, 2]
+    bx, by, bz = corner[1, 0] - ax, corner[1, 1] - ay, corner[1, 2] - az
+    px, py, pz = x - ax, y - ay, z - az
+    d1 = bx * px + by * py + bz * pz
+    if len(corner) == 2:
+        t = min(max(d1 / (bx * bx + by * by + bz * bz), 0.0), 1.0)
+        return ax + t * bx, ay + t * by, az + t * bz, 1.0 - t, t, 0.0
+    cx, cy, cz = corner[2, 0] - ax, corner[2, 1] - ay, corner[2, 2] - az
+    d2 = cx * px + cy * py + cz * pz
+    if d1 <= 0 and d2 <= 0:
+        return ax, ay, az, 1.0, 0.0, 0.0
+    bb, cc, bc = bx * bx + by * by + bz * bz, cx * cx + cy * cy + cz * cz, bx * cx + by * cy + bz * cz
+    d3, d4 = d1 - bb, d2 - bc
+    if d3 >= 0 and d4 <= d3:
+        return ax + bx, ay + by, az + bz, 0.0, 1.0, 0.0
+    d5, d6 = d1 - bc, d2 - cc
+    if d6 >= 0 and d5 <= d6:
+        return ax + cx, ay + cy, az + cz, 0.0, 0.0, 1.0
+    vc = d1 * d4 - d3 * d2
+    if vc <= 0 and d1 >= 0 and d3 <= 0:
+        t = d1 / (d1 - d3)
+        return ax + t * bx, ay + t * by, az + t * bz, 1.0 - t, t, 0.0
+    vb = d5 * d2 - d1 * d6
+    if vb <= 0 and d2 >= 0 and d6 <= 0:
+        t = d2 / (d2 - d6)
+        return ax + t * cx, ay + t * cy, az + t * cz, 1.0 - t, 0.0, t
+    va = d3 * d6 - d5 * d4
+    if va <= 0 and d4 - d3 >= 0 and d5 - d6 >= 0:
+        t = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        return ax + bx + t * (cx - bx), ay + by + t * (cy - by), az + bz + t * (cz - bz), 0.0, 1.0 - t, t
+    s = 1.0 / (va + vb + vc)
+    v, u = vb * s, vc * s
+    return ax + v * bx + u * cx, ay + v * by + u * cy, az + v * bz + u * cz, 1.0 - v - u, v, u
+
+
+def facet_frames(corner):
+    """First corner, dual edge vectors and unit normal of each facet: (facets, 12); a segment's second edge is out of
+    plane."""
+    one = corner[:, 1] - corner[:, 0]
+    other = corner[:, 2] - corner[:, 0] if corner.shape[1] == 3 else np.tile([0.0, 0.0, 1.0], (len(corner), 1))
+    normal = np.cross(one, other)
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    duals = [d / (d * edge).sum(1)[:, None] for d, edge in ((np.cross(other, normal), one), (np.cross(normal, one), other))]
+    return np.column_stack([corner[:, 0], *duals, normal])
+
+
+@njit(fastmath=FAST, inline="always")
+def _from_facet(frame, corner, f, x, y, z, reach):
+    """Vector from the nearest point of facet f to a point, with that point's weights; only its length matters beyond
+    reach."""
+    px, py, pz = x - frame[f, 0], y - frame[f, 1], z - frame[f, 2]
+    nx, ny, nz = frame[f, 9], frame[f, 10], frame[f, 11]
+    v = frame[f, 3] * px + frame[f, 4] * py + frame[f, 5] * pz
+    w = frame[f, 6] * px + frame[f, 7] * py + frame[f, 8] * pz
+    d = nx * px + ny * py + nz * pz
+    if abs(d) >= reach or v >= 0.0 and w >= 0.0 and v + w <= 1.0:  # too far from the plane, or in front of the face
+        return d * nx, d * ny, d * nz, 1.0 - v - w, v, w
+    qx, qy, qz, wa, wb, wc = nearest_point(corner[f], x, y, z)
+    return x - qx, y - qy, z - qz, wa, wb, wc
+
+
+def facet_balls(corner):
+    """Bounding sphere and unit normal of each facet: (facets, 7), for a quick test before the nearest point."""
+    middle = corner.mean(1)
+    size = np.sqrt(((corner - middle[:, None]) ** 2).sum(2).max(1))
+    last = corner[:, 2] - corner[:, 0] if corner.shape[1] == 3 else np.tile([0.0, 0.0, 1.0], (len(corner), 1))
+    normal = np.cross(corner[:, 1] - corner[:, 0], last)
+    return np.column_stack([middle, size, normal / np.linalg.norm(normal, axis=1)[:, None]])
+
+
+@njit
+def _list(x, reach_of, cell, cell_start, cell_facet, corner, ball, particle, facet):
+    number = 0
+    for i in range(len(cell)):
+        reach = reach_of[i]
+        for k in range(cell_start[cell[i]], cell_start[cell[i] + 1]):
+            f = cell_facet[k]
+            dx, dy, dz, far = x[i, 0] - ball[f, 0], x[i, 1] - ball[f, 1], x[i, 2] - ball[f, 2], reach + ball[f, 3]
+            if dx * dx + dy * dy + dz * dz > far * far or abs(dx * ball[f, 4] + dy * ball[f, 5] + dz * ball[f, 6]) > reach:
+                continue
+            qx, qy, qz, _, _, _ = nearest_point(corner[f], x[i, 0], x[i, 1], x[i, 2])
+            if (qx - x[i, 0]) ** 2 + (qy - x[i, 1]) ** 2 + (qz - x[i, 2]) ** 2 < reach * reach:
+                if number < len(particle):
+                    particle[number], facet[number] = i, f
+                number += 1
+    return number
+
+
+def wall_list(x, reach, cell, cell_start, cell_facet, corner, ball):
+    """Facets within reach (particles,) [m] of each particle: (particle, facet), in the order of the particles."""
+    capacity = 2 * len(cell) + 64
+    while True:
+        particle, facet = np.empty(capacity, np.int32), np.empty(capacity, np.int32)
+        number = _list(x, reach, cell, cell_start, cell_facet, corner, ball, particle, facet)
+        if number <= capacity:
+            return particle[:number].copy(), facet[:number].copy()
+        capacity = number
+
+
+@njit
+def wall_gaps(x, radius, room, particle, facet, corner):
+    """Distance of the surface of each particle of a list from its facet over the particle's room, negative in contact."""
+    gap = np.empty(len(particle))
+    for k in range(len(particle)):
+        i = particle[k]
+        qx, qy, qz, _, _, _ = nearest_point(corner[facet[k]], x[i, 0], x[i, 1], x[i, 2])
+        gap[k] = (np.sqrt((qx - x[i, 0]) ** 2 + (qy - x[i, 1]) ** 2 + (qz - x[i, 2]) ** 2) - radius[i]) / room[i]
+    return gap
+
+
+def scratch(particle):
+    """Memory for the facets near one particle: vectors, weights, entries of the list, and whether each is a contact."""
+    most = int(np.bincount(particle).max(initial=1))
+    return (np.empty((most, 3)), np.empty((most, 3)), np.empty(most, np.uint64), np.empty(most, np.bool_),
+            *patch_scratch(most))
+
+
+@njit(fastmath=FAST)
+def facet_forces(x, state, force, radius, inverse_mass, material, listed, particle, facet, spring, stamp, step, corner,
+                 vertex,
+                 facet_wall, frame, patch, scratch, motion, wall_material, wall_force, deepest, block, numbers, h):
+    """Add the contact forces of the ``listed`` pairs with wall facets.
+
+    Returns the number of contacts, or -1 - i where the centre of i is on a wall.
+    """
+    touching, sides, m, entry, total, bad = 0, corner.shape[1], 0, 0, len(listed), 0
+    arm, weight, slot, contact, work, order = scratch
+    rest = x, state, force, material, spring, stamp, step, motion, wall_material, wall_force, deepest, numbers, h
+    while entry < total:
+        i, near = particle[listed[entry]], np.uint64(0)
+        px, py, pz, r = x[i, 0], x[i, 1], x[i, 2], radius[i]
+        while entry < total and particle[listed[entry]] == i:
+            k = listed[entry]
+            dx, dy, dz, wa, wb, wc = _from_facet(frame, corner, facet[k], px, py, pz, r)
+            distance2 = dx * dx + dy * dy + dz * dz
+            if distance2 < r * r:
+                bad = bad if distance2 > 0 else -1 - np.int64(i)
+                arm[near, 0], arm[near, 1], arm[near, 2] = dx, dy, dz
+                weight[near, 0], weight[near, 1], weight[near, 2] = wa, wb, wc
+                slot[near] = k
+                near += np.uint64(1)
+            entry += 1
+        contact[0], joined = True, False
+        if near > 1:
+            for n in range(near):
+                joined |= patch[facet[slot[n]], 1] > 0
+            _contacts_of(near, slot, facet, vertex, weight, arm, 1e-6 * r, sides, contact)
+            if joined:
+                join_contacts(near, slot, facet, vertex, corner, frame, patch, x[i], r, arm, weight, contact,
+                              numbers.kind == 1, work, order)
+            _hand_over(near, slot, arm, contact, spring, stamp, step)
+        for n in range(near):
+            if contact[n]:
+                if m == B:
+                    finish_block(block, m, *rest)
+                    touching, m = touching + m, 0
+                add_contact(block, m, i, slot[n], facet_wall[facet[slot[n]]], arm[n, 0], arm[n, 1], arm[n, 2], r,
+                            work[n, 12] if joined else 1.0)
+                m += 1
+    finish_block(block, m, *rest)
+    return bad if bad < 0 else touching + m
+
+
+@njit
+def _hand_over(near, slot, arm, contact, spring, stamp, step):
+    """Give the springs of facets that are no longer the contact to the facet the contact has rolled onto, the nearest."""
+    for n in range(near):
+        if contact[n] or stamp[slot[n]] != step - 1:
+            continue
+        to, least = n, np.inf
+        for o in range(near):
+            far = (arm[o, 0] - arm[n, 0]) ** 2 + (arm[o, 1] - arm[n, 1]) ** 2 + (arm[o, 2] - arm[n, 2]) ** 2
+            if contact[o] and stamp[slot[o]] != step - 1 and far < least:
+                to, least = o, far
+        if to != n:
+            spring[slot[to]] = spring[slot[n]]
+            stamp[slot[to]] = step - 1
+
+
+@njit
+def _contacts_of(near, slot, facet, vertex, weight, arm, tolerance, sides, contact):
+    """Set which nearest points are local minima of the distance to the surface, and the first of their kind."""
+    for m in range(near):
+        contact[m] = True
+        for o in range(near):
+            if o == m:
+                continue
+            d2 = (arm[o, 0] - arm[m, 0]) ** 2 + (arm[o, 1] - arm[m, 1]) ** 2 + (arm[o, 2] - arm[m, 2]) ** 2
+            if d2 < tolerance * tolerance:
+                contact[m] &= o > m
+            elif contact[m]:
+                contact[m] = not holds_feature(facet[slot[o]], facet[slot[m]], vertex, weight[m], sides)

@@ -1,0 +1,125 @@
+"""Several sub-steps in one pass over the memory, for beds that do not fit into the caches.
+
+The particles are sorted by slabs, and in these by strips. A slab can make its next sub-step as soon as its neighbours have
+made the last one, so a few sub-steps follow each other through the bed like waves, a few slabs apart, and what they need
+stays in the caches. In wide beds they do so in one block of strips after the other; each sub-step's block lies a few strips
+behind that of the last. Without blocks every particle gets its forces in the same order as in one sub-step after the other
+on the same lists.
+"""
+import numpy as np
+
+from fe_el.compiled.cache import njit
+from fe_el.particles.contacts import neighbours
+
+FROM = 15000  # particles
+SLAB = 500  # particles at least
+FINE = 2  # slabs in the reach of a contact
+STRIPS = 2  # the same of strips
+AT_ONCE = 8  # sub-steps at most
+IN_CACHE = 32000  # particles, with their contacts
+NONE = (np.zeros(1, np.int64),) * 6 + (1, 0, 0, 1, 1)
+
+
+def tiles(position, period, reach):
+    """Number of each particle's tile: slab times the number of strips, and strip; and the number of strips.
+
+    Slabs cut the direction that gives the thinnest, strips the next, where slabs alone hold too much. In a periodic
+    direction two that are as far from the middle count as one.
+    """
+    lower, _, extent = neighbours.bounds(position)
+    fold = np.array(period) > 0 if period is not None else np.zeros(3, bool)
+    length = np.maximum(np.where(fold, period if period is not None else 0.0, extent), 1e-300)  # a line has no width
+    across, along = np.argsort(-extent / (1 + fold), kind="stable")[:2]
+
+    def cut(axis, most):
+        count = max(int(min(most, len(position))), 1)
+        origin = 0.0 if fold[axis] else lower[axis]
+        part = np.clip(((position[:, axis] - origin) / length[axis] * count).astype(np.int64), 0, count - 1)
+        return (np.minimum(part, count - 1 - part), (count + 1) // 2) if fold[axis] else (part, count)
+    slab, slabs = cut(across, min(FINE * length[across] / reach, len(position) * (1 + fold[across]) / SLAB))
+    wide = len(position) * (FINE + 2) * AT_ONCE > IN_CACHE * slabs
+    strip, strips = cut(along, STRIPS * length[along] / reach) if wide else (np.zeros_like(slab), 1)
+    return slab * strips + strip, strips
+
+
+@njit
+def by_tile(first, second, tile, strips, count):
+    """The pairs in the order of the later slab and the later strip of the two.
+
+    Returns:
+        pairs, where those of each tile begin, how far apart their slabs and their strips may be.
+    """
+    start, apart, apart_strips = np.zeros(count + 1, np.int64), 0, 0
+    place = np.empty(len(first), np.int64)
+    for k in range(len(first)):
+        a, b = tile[first[k]], tile[second[k]]
+        i, j, p, q = a // strips, b // strips, a % strips, b % strips
+        place[k] = max(i, j) * strips + max(p, q)
+        start[place[k] + 1] += 1
+        apart, apart_strips = max(apart, abs(i - j)), max(apart_strips, abs(p - q))
+    for c in range(count):
+        start[c + 1] += start[c]
+    at, one, two = start.copy(), np.empty_like(first), np.empty_like(second)
+    for k in range(len(first)):
+        n = at[place[k]]
+        one[n], two[n] = first[k], second[k]
+        at[place[k]] = n + 1
+    return one, two, start, apart, apart_strips
+
+
+def at_once(particles, slabs, apart, strips, apart_strips):
+    """How many sub-steps may follow each other, in blocks of how many strips, so that particles between them stay in the
+    caches.
+
+    A block is fetched once for all of its sub-steps, with what these add on its side: the choice fetches the least.
+    """
+    best, lag = None, particles * (apart + 1) / slabs
+    for number in range(2, AT_ONCE + 1):
+        block = int(IN_CACHE / (lag * number) * strips)
+        behind = (apart_strips + 1) * (number - 1)
+        if block >= strips:
+            block, share = strips + behind, 1 / number
+        else:
+            share = (block + behind) / (number * block) if block else np.inf
+        if best is None or share < best[0]:
+            best = share, number, block if block else strips + behind
+    return best[1], best[2]
+
+
+@njit
+def wave_length(most, room, step, speed, change):
+    """How many sub-steps keep displacements within ``room``, with twice the speed and its change there are now: (number,
+    reach).
+
+    All of them are over the room of each particle.
+    """
+    number, ahead = 1, 0.0
+    for n in range(2, most + 1):
+        reach = 2 * n * step * (speed + n * change)
+        if reach <= room:
+            number, ahead = n, reach
+    return number, ahead
+
+
+@njit
+def refresh_images(rows, source, shift, owned, x, state, force):
+    """Set some of the periodic images to their particles."""
+    for k in range(len(rows)):
+        n = rows[k]
+        i, g = source[n], owned + n
+        for q in range(3):
+            x[g, q] = x[i, q] + shift[n, q]
+            state[g, 1 + q], state[g, 4 + q] = state[i, 1 + q], state[i, 4 + q]
+        for q in range(8):
+            force[g, q] = 0.0
+
+
+@njit
+def part_of(listed, number, at):
+    """Where the entries of each tile begin among the first ``number`` of a list of places in the whole list."""
+    out, n = np.empty(len(at), np.int64), 0
+    for c in range(len(at)):
+        while n < number and listed[n] < at[c]:
+            n += 1
+        out[c] = n
+    return out

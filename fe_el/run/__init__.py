@@ -1,0 +1,1 @@
+"""What a run needs around its steps: time, output, summary, checkpoints, records, stopping."""
