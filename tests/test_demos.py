@@ -16,9 +16,16 @@ from demos import (
     own_weak_form,
     sedimenting_suspension,
     time_scales,
+    turbulent_channel,
 )
 from demos.benchmarks import contact_speed, error_against_run_time, fluid_error, fluid_speed, stability_map
-from demos.peers import bed_against_dpmfoam, contacts_against_peers, ico_foam, suspension_against_dpmfoam
+from demos.peers import (
+    bed_against_dpmfoam,
+    contacts_against_peers,
+    forces_in_cells,
+    ico_foam,
+    suspension_against_dpmfoam,
+)
 
 
 @pytest.mark.ranks
@@ -320,3 +327,20 @@ def test_cases_for_dpm_foam_and_its_log(folder, monkeypatch):
     assert "above 0 s" in bed_against_dpmfoam.dpm_foam.run(folder + "/bed", limit=0.0)["stopped"]
     (Path(folder) / "DPMFoam").write_text("#!/bin/sh\nexit 1\n")
     assert "DPMFoam failed" in bed_against_dpmfoam.dpm_foam.run(folder + "/bed")["stopped"]
+
+
+def test_turbulent_channel(folder):
+    """A start by the logarithmic law keeps its mean velocity near Dean's only where the friction is that of the law."""
+    means = []
+    for law in (True, False):
+        numbers = turbulent_channel.main(across=4, end_time=2.0, wall_law=law, output=folder, progress=False)
+        means.append(numbers["mean_velocity"])
+        assert numbers["mass_residual"] < 1e-8 and numbers["cells"] == 12 * 4 * 6 * 6
+    assert abs(means[0] / np.sqrt(2 / numbers["friction_coefficient_dean"]) - 1) < 0.1
+    assert means[1] > means[0] + 0.5
+
+
+def test_forces_in_cells_beside_taylor_hood(folder):
+    numbers = forces_in_cells.main(cubes=6, numbers=(0.5,), output=folder, progress=False)
+    for name in ("one", "another", "ten_scattered", "ten_of_a_hundred"):
+        assert numbers["largest_deviation_" + name] < 0.1, name
