@@ -72,11 +72,11 @@ def test_walls_come_and_go_and_the_others_keep_their_springs(rest):
     p, c = one_bead((0.025, 0.025, 0.01 + D / 2 - 1e-6), [fe_el.PlaneWall((0, 0, 0), (0, 0, 1)), floor], law,
                     (9.81 * slope, 0, -9.81))
     advance(p, c, 1e-3, 200)
-    held, spring = p.position[0, 0], c.lists.springs[2][c.lists.shape_wall == 1]
+    held, spring = p.position[0, 0], c.lists.shapes.spring[c.lists.shapes.wall == 1]
     c.walls.append(fe_el.PlaneWall((0.04, 0, 0), (-1, 0, 0)))
     del c.walls[0]
     advance(p, c, 1e-3, 1)
-    assert c.lists.springs[2][c.lists.shape_wall == 0] == pytest.approx(spring, rel=1e-3, abs=1e-10)
+    assert c.lists.shapes.spring[c.lists.shapes.wall == 0] == pytest.approx(spring, rel=1e-3, abs=1e-10)
     advance(p, c, 1e-3, 100)
     assert p.position[0, 0] == pytest.approx(held, abs=1e-8)
     c.walls.remove(floor)

@@ -72,7 +72,7 @@ def test_a_run_goes_on_from_a_file_as_without_a_break(folder, periodic):
     whole.fill()
     whole.go(60)
     fe_el.save_checkpoint(folder + "/state.h5", *whole.parts, time=60 * DT, name="bed")
-    springs = whole.mesh.comm.allreduce(sum(len(k[0]) for k in whole.contacts.lists._collect(whole.contacts.step,
+    springs = whole.mesh.comm.allreduce(sum(len(k[0]) for k in whole.contacts.lists.collect(whole.contacts.step,
                                                                                               whole.contacts.layout)))
     whole.go(40)
     again = Run(MPI.COMM_SELF, periodic)

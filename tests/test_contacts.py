@@ -134,9 +134,10 @@ def test_no_contact_is_missed_among_slow_and_fast_beads_of_many_sizes(skin):
     for n in range(120):
         beads.advance(7 * h, contacts)
         lists = contacts.lists
-        near, floor = lists.listed[:lists.near[1]], lists.wall_listed[:lists.near[2]]
-        mine = [lists.ids[a] for a in (lists.first[near], lists.second[near], lists.wall_particle[floor],
-                                       lists.shape_particle)]
+        pairs, candidates = lists.pairs, lists.candidates
+        near, floor = candidates.listed[:lists.near.pairs], candidates.wall_listed[:lists.near.facets]
+        mine = [lists.ids[a] for a in (pairs.first[near], pairs.second[near], lists.near_facets.particle[floor],
+                                       lists.shapes.particle)]
         first, second, floor, top = (np.concatenate(a) for a in zip(*gather(mine)))
         ids, x, r = (np.concatenate(a) for a in zip(*gather((beads.id, beads.position, beads.diameter / 2))))
         apart = x[:, None] - x
@@ -218,7 +219,7 @@ def bed_in_waves(period, monkeypatch, waves_on, times, rate=0.0):
 
     def without_waves(lists, *args):
         rebuild(lists, *args)
-        lists.waves = waves.NONE
+        lists.tiles = waves.NONE
 
     with monkeypatch.context() as patch:
         patch.setattr(waves, "FROM", 100)
@@ -232,7 +233,7 @@ def bed_in_waves(period, monkeypatch, waves_on, times, rate=0.0):
         for _ in range(times):
             beads.relaxation_rate[:], beads.force[:] = rate, -0.3 * rate * beads.mass[:, None] * beads.velocity
             beads.advance(5e-4, contacts)
-    assert (len(contacts.lists.waves[0]) > 10) == waves_on
+    assert (len(contacts.lists.tiles.starts) > 10) == waves_on
     order = np.argsort(beads.id)
     return np.hstack([beads.position, beads.velocity, beads.angular_velocity, beads.contact_force])[order], contacts
 
@@ -245,7 +246,7 @@ PERIODS = pytest.mark.parametrize("period", [(False, True, False), (True, True, 
 def test_waves_through_a_large_bed_give_the_same_to_the_last_digit(period, rate, monkeypatch):
     """Sub-steps that follow each other through slabs of a bed on a floor, against one after the other on the same lists."""
     together, contacts = bed_in_waves(period, monkeypatch, True, 60, rate)
-    assert contacts.lists.waves[6] == 1 and contacts.touching > 100
+    assert contacts.lists.tiles.strips == 1 and contacts.touching > 100
     assert (together == bed_in_waves(period, monkeypatch, False, 60, rate)[0]).all()
 
 
@@ -254,8 +255,8 @@ def test_waves_in_blocks_of_strips_give_the_same(period, monkeypatch):
     """Blocks change the order of a few sums: the same up to round-off, after 40 steps of falling and touching the floor."""
     monkeypatch.setattr(waves, "IN_CACHE", 50)
     together, contacts = bed_in_waves(period, monkeypatch, True, 40)
-    *_, strips, _, _, at_once, block = contacts.lists.waves
-    assert strips > block > 1 and at_once >= 2 and contacts.touching > 20
+    tiles = contacts.lists.tiles
+    assert tiles.strips > tiles.width > 1 and tiles.at_once >= 2 and contacts.touching > 20
     monkeypatch.setattr(waves, "IN_CACHE", 10**6)
     alone, _ = bed_in_waves(period, monkeypatch, False, 40)
     scale = np.abs(alone).max(0)

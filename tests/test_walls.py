@@ -239,7 +239,7 @@ def test_a_sphere_over_hundreds_of_facets():
         c = fe_el.Contacts(p, fe_el.LinearSpringDashpot(20.0, 0.9, 0.3), wall, steps_per_contact=STEPS)
         p.advance(1e-3, c)
         runs.append((p.position[0], p.velocity[0], p.angular_velocity[0], c.largest_overlap))
-    assert len(c.lists.wall_facet) > 500
+    assert len(c.lists.near_facets.facet) > 500
     assert runs[0][3] > 0.1 and all(np.allclose(a, b, rtol=1e-6, atol=1e-9) for a, b in zip(*runs))
 
 

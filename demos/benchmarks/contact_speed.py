@@ -10,7 +10,8 @@ import numpy as np
 from mpi4py import MPI
 
 import fe_el
-from fe_el.particles.motion import kick_and_drift
+from fe_el.particles.contacts.records import Drift
+from fe_el.particles.contacts.velocity_verlet import kick_and_drift
 
 matplotlib.use("Agg")
 DIAMETER, DENSITY, RESTITUTION, FRICTION, CONTACT_STEP = 1.5e-3, 2525.0, 0.9, 0.1, 1e-5
@@ -64,12 +65,11 @@ def settled_tile(steps):
 def integration_seconds(contacts, repeats=20):
     """Seconds that kicks and drifts of one step take by themselves, on copies of the particles of this rank."""
     lists, p = contacts.lists, contacts.particles
-    x, state, force = lists.x.copy(), lists.state.copy(), lists.force.copy()
-    external, inverse_inertia = np.zeros((len(p), 3)), 10 / (p.mass * p.diameter ** 2)
+    rows = lists.rows._replace(x=lists.rows.x.copy(), state=lists.rows.state.copy(), force=lists.rows.force.copy())
+    drift = Drift(np.zeros((len(p), 3)), 10 / (p.mass * p.diameter ** 2), lists.x0, np.zeros((0, 4)))
 
     def once():
-        kick_and_drift(x, state, force, external, lists.inverse_mass, inverse_inertia, lists.x0, 1.0, CONTACT_STEP, 0,
-                       len(p))
+        kick_and_drift(rows, drift, 1.0, CONTACT_STEP, 0, len(p))
     once()
     start = time.perf_counter()
     for _ in range(repeats):
@@ -90,7 +90,7 @@ def main(tiles=(1, 3, 10), steps=400, settle_steps=12000, output="out/contact_sp
         before, tick = dict(contacts.seconds), time.perf_counter()
         beads.advance(steps * CONTACT_STEP, contacts)
         wall = comm.allreduce(time.perf_counter() - tick, op=MPI.MAX)
-        number, pairs = beads.total_number, comm.allreduce(len(contacts.lists.first))
+        number, pairs = beads.total_number, comm.allreduce(len(contacts.lists.pairs.first))
         memory = comm.allreduce(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - memory)
         share = (contacts.seconds["neighbours"] - before["neighbours"]) / wall
         integration = comm.allreduce(integration_seconds(contacts), op=MPI.MAX) * contacts.steps_last / wall

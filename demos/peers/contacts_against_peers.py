@@ -185,7 +185,7 @@ def worker(scene, warm_up, steps):
     number, part = beads.total_number, {k: comm.allreduce(contacts.seconds[k] - before[k]) / comm.size / wall
                                         for k in before}
     out = {"speed": number * contacts.steps_last / wall * 1e-6, "search": part["neighbours"], "forces": part["contacts"],
-           "rebuilds": contacts.rebuilds - built, "pairs": comm.allreduce(len(contacts.lists.first)) / number,
+           "rebuilds": contacts.rebuilds - built, "pairs": comm.allreduce(len(contacts.lists.pairs.first)) / number,
            "height": comm.allreduce(beads.position[:, 2].sum()) / number}
     print(json.dumps(out) if comm.rank == 0 else "", flush=True)
 

@@ -11,7 +11,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from fe_el.particles.contacts.law_kernels import BLOCK
+from fe_el.particles.contacts.blocks import BLOCK
 
 NUMBER, INDEX = ir.DoubleType(), ir.IntType(64)
 VECTOR, ORDER = ir.VectorType(NUMBER, 4), ir.VectorType(ir.IntType(32), 4)

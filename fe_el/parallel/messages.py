@@ -4,6 +4,7 @@ Handles are passed as what they are in memory, so that any MPI that mpi4py was b
 """
 import ctypes
 import math
+from typing import NamedTuple
 
 import llvmlite.binding
 import numpy as np
@@ -22,39 +23,57 @@ _reduce = types.ExternalFunction("MPI_Allreduce", types.int32(types.voidptr, typ
                                                               types.intp))
 
 
+class Messages(NamedTuple):
+    """Persistent requests, which whoever made them must keep."""
+
+    handles: np.ndarray
+    statuses: np.ndarray
+    number: int
+
+
+class Ranks(NamedTuple):
+    """A communicator, as :func:`largest` needs it."""
+
+    size: int
+    comm: int  #: handles
+    number: int
+    largest: int
+    room: np.ndarray  #: (2,)
+
+
 def _handle(thing):
     """Bytes of the handle of an MPI object."""
     return ctypes.string_at(MPI._addressof(thing), MPI._sizeof(thing))
 
 
 def messages_of(requests):
-    """What :func:`exchange` needs of persistent requests, which the caller must keep: handles, statuses, number."""
+    """What :func:`exchange` needs of persistent requests, which the caller must keep."""
     handles = np.frombuffer(bytearray(b"".join(_handle(r) for r in requests)), np.uint8)
-    return handles, np.zeros(len(requests) * MPI._sizeof(MPI.Status), np.uint8), len(requests)
+    return Messages(handles, np.zeros(len(requests) * MPI._sizeof(MPI.Status), np.uint8), len(requests))
 
 
 def ranks_of(comm):
-    """What :func:`largest` needs of a communicator: number of ranks, handles, and room for the number."""
+    """What :func:`largest` needs of a communicator."""
     handles = [int.from_bytes(_handle(thing), "little") for thing in (comm, MPI.DOUBLE, MPI.MAX)]
-    return comm.size, *handles, np.zeros(2)
+    return Ranks(comm.size, *handles, np.zeros(2))
 
 
 @njit
 def exchange(messages):
     """Start all messages and wait for them."""
-    handles, statuses, number = messages
-    if number and (_start(number, handles.ctypes) or _wait(number, handles.ctypes, statuses.ctypes)):
+    number, handles = messages.number, messages.handles
+    if number and (_start(number, handles.ctypes) or _wait(number, handles.ctypes, messages.statuses.ctypes)):
         raise RuntimeError("MPI could not exchange the ghosts.")
 
 
 @njit
 def largest(ranks, number):
     """Largest of a number over all ranks; what is not a number counts as infinite. Collective."""
-    size, comm, kind, operation, room = ranks
+    room = ranks.room
     number = math.inf if math.isnan(number) else number
-    if size == 1:
+    if ranks.size == 1:
         return number
     room[0] = number
-    if _reduce(room.ctypes, room[1:].ctypes, 1, kind, operation, comm):
+    if _reduce(room.ctypes, room[1:].ctypes, 1, ranks.number, ranks.largest, ranks.comm):
         raise RuntimeError("MPI could not find the largest number.")
     return room[1]

@@ -1,12 +1,27 @@
 """Ghost particles: copies of particles of other ranks, and periodic images, that contacts need."""
 import itertools
+from typing import NamedTuple
 
 import numpy as np
 from mpi4py import MPI
 
 from fe_el.compiled.cache import njit
-from fe_el.parallel.messages import exchange, messages_of
+from fe_el.compiled.direct_calls import Direct
+from fe_el.parallel.messages import Messages, Ranks, exchange, messages_of, ranks_of
 from fe_el.particles.contacts.neighbours import bounds
+
+
+class GhostRows(NamedTuple):
+    """What :func:`forward_state` needs: rows of particles that are ghosts elsewhere, and what is sent and received."""
+
+    abroad: np.ndarray  #: rows of the particles that other ranks have ghosts of
+    outgoing: np.ndarray  #: (abroad, 9) position, velocity, angular velocity
+    incoming: np.ndarray  #: (ghosts, 9)
+    images: np.ndarray  #: rows of the particles that have periodic images on this rank
+    image_rows: np.ndarray  #: (images, 9) their part of ``incoming``
+    shift: np.ndarray  #: (ghosts, 3) what is added to their positions [m]
+    messages: Messages
+    ranks: Ranks
 
 
 @njit
@@ -45,11 +60,13 @@ def unpack(packed, shift, first, owned, x, state):
 @njit
 def forward_state(ghosts, owned, x, state):
     """Set the ghosts' positions (shifted for periodic images), velocities and angular velocities, in place. Collective."""
-    abroad, outgoing, incoming, images, image_rows, shift, messages = ghosts
-    pack(abroad, x, state, outgoing)
-    pack(images, x, state, image_rows)
-    exchange(messages)
-    unpack(incoming, shift, owned, owned, x, state)
+    pack(ghosts.abroad, x, state, ghosts.outgoing)
+    pack(ghosts.images, x, state, ghosts.image_rows)
+    exchange(ghosts.messages)
+    unpack(ghosts.incoming, ghosts.shift, owned, owned, x, state)
+
+
+_forward_state = Direct(forward_state)
 
 
 class Ghosts:
@@ -96,7 +113,7 @@ class Ghosts:
         self.requests = None
 
     def rows(self):
-        """What :func:`forward_state` needs; messages are made once, they are the same until the ghosts change."""
+        """What :func:`forward_state` needs (GhostRows); messages are made once, until the ghosts change."""
         if self.requests is not None:
             return self._rows
         receives, sends, at, me = [], [], 0, self.comm.rank
@@ -111,8 +128,8 @@ class Ghosts:
                 at += len(rows)
         self.requests = receives + sends
         images = self.incoming[self.receive[me].start - self.owned:self.receive[me].stop - self.owned]
-        self._rows = (self.abroad, self.outgoing, self.incoming, self.send[me], images, self.shift,
-                      messages_of(self.requests))
+        self._rows = GhostRows(self.abroad, self.outgoing, self.incoming, self.send[me], images, self.shift,
+                               messages_of(self.requests), ranks_of(self.comm))
         return self._rows
 
     def free(self):
@@ -156,4 +173,4 @@ class Ghosts:
 
     def forward_state(self, x, state):
         """Set the ghosts' positions (shifted for periodic images), velocities and angular velocities, in place."""
-        forward_state(self.rows(), self.owned, x, state)
+        _forward_state(self.rows(), self.owned, x, state)

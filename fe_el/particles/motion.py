@@ -1,4 +1,4 @@
-"""Free flight, and kicks and drifts of a sub-step, on the rows of :mod:`fe_el.particles.contacts.pair_forces`.
+"""Free flight, and the impulse of a step for sub-steps, along the relaxation of velocities.
 
 Velocities that relax, dv/dt = k (target - v), take their positions along: over h with a = k h the velocity changes by
 dv = (1 - exp(-a)) (target - v), and the position by h (v + lag dv), lag = 1 / (1 - exp(-a)) - 1 / a: from 1/2 for a constant
@@ -84,79 +84,6 @@ def places_ahead(position, velocity, force, contact_force, inertia, gravity, rat
     return math.sqrt(longest)
 
 
-@njit(fastmath=FAST)
-def kick(state, force, inverse_mass, inverse_inertia, h, owned):
-    """v += h F/m, w += h T/I."""
-    for i in range(owned):
-        a, b = h * inverse_mass[i], h * inverse_inertia[i]
-        for k in range(3):
-            state[i, 1 + k] += a * force[i, k]
-            state[i, 4 + k] += b * force[i, 4 + k]
-
-
-@njit(fastmath=FAST)
-def kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0, part, h, begin, end):
-    """Kick some particles by ``part`` of a step, drift by a step, reset their forces.
-
-    Returns the largest squares of their displacement from x0, velocity, and change of velocity, each over the room of the
-    particle; the last column of x0 (particles, 4) is one over the square of that [1/m^2].
-    """
-    largest, fastest, hardest = 0.0, 0.0, 0.0
-    for i in range(begin, end):
-        a, b, s, v, c = part * h * inverse_mass[i], part * h * inverse_inertia[i], 0.0, 0.0, 0.0
-        for k in range(3):
-            c += a * force[i, k] * (a * force[i, k])
-            state[i, 1 + k] += a * force[i, k]
-            state[i, 4 + k] += b * force[i, 4 + k]
-            x[i, k] += h * state[i, 1 + k]
-            force[i, k] = external[i, k]
-            force[i, 4 + k] = 0.0
-            q = x[i, k] - x0[i, k]
-            s += q * q
-            v += state[i, 1 + k] * state[i, 1 + k]
-        force[i, 3] = force[i, 7] = 0.0
-        s *= x0[i, 3]
-        fastest, hardest = max(v * x0[i, 3], fastest), max(c * x0[i, 3], hardest)
-        if not s <= largest:
-            largest = s
-    return largest, fastest, hardest
-
-
-@njit(fastmath=FAST)
-def kick_and_drift_fading(x, state, force, external, inverse_mass, inverse_inertia, x0, fading, part, h, begin, end):
-    """The same, with a part of the external force that fades; see :func:`forces_in_step`."""
-    largest, fastest, hardest = 0.0, 0.0, 0.0
-    for i in range(begin, end):
-        a, b, s, v, c, kept = part * h * inverse_mass[i], part * h * inverse_inertia[i], 0.0, 0.0, 0.0, fading[i, 3]
-        for k in range(3):
-            c += a * force[i, k] * (a * force[i, k])
-            state[i, 1 + k] += a * force[i, k]
-            state[i, 4 + k] += b * force[i, 4 + k]
-            x[i, k] += h * state[i, 1 + k]
-            fading[i, k] *= kept
-            force[i, k] = external[i, k] + fading[i, k]
-            force[i, 4 + k] = 0.0
-            q = x[i, k] - x0[i, k]
-            s += q * q
-            v += state[i, 1 + k] * state[i, 1 + k]
-        force[i, 3] = force[i, 7] = 0.0
-        s *= x0[i, 3]
-        fastest, hardest = max(v * x0[i, 3], fastest), max(c * x0[i, 3], hardest)
-        if not s <= largest:
-            largest = s
-    return largest, fastest, hardest
-
-
-@njit
-def drift_on(x, state, force, inverse_mass, drift, part, h, begin, end):
-    """A sub-step's kick and drift, with an external force that is constant, or with a part that fades."""
-    external, inverse_inertia, x0, fading = drift
-    if len(fading):
-        return kick_and_drift_fading(x, state, force, external, inverse_mass, inverse_inertia, x0, fading, part, h, begin,
-                                     end)
-    return kick_and_drift(x, state, force, external, inverse_mass, inverse_inertia, x0, part, h, begin, end)
-
-
 @njit
 def forces_in_step(position, force, contact_force, mass, gravity, rate, held, dt, steps):
     """The impulse of gravity and ``force`` over a step, given to sub-steps such that velocities follow their relaxation.
@@ -184,40 +111,3 @@ def forces_in_step(position, force, contact_force, mass, gravity, rate, held, dt
             fading[i, k] = mass[i] * first * change
             position[i, k] += left_out * change
     return constant, fading
-
-
-@njit
-def pack(position, velocity, angular_velocity, external, contact_force, contact_torque, x, state, force):
-    """Fill the rows of the owned particles, and clear the forces of the ghosts."""
-    for i in range(len(position)):
-        for k in range(3):
-            x[i, k], state[i, 1 + k], state[i, 4 + k] = position[i, k], velocity[i, k], angular_velocity[i, k]
-            force[i, k], force[i, 4 + k] = external[i, k] + contact_force[i, k], contact_torque[i, k]
-        force[i, 3] = force[i, 7] = 0.0
-    force[len(position):] = 0.0
-
-
-@njit
-def first_not_finite(x, force):
-    """The first particle whose position or force is not a finite number, or -1."""
-    for i in range(len(x)):
-        if not np.isfinite(x[i, 0] + x[i, 1] + x[i, 2] + force[i, 0] + force[i, 1] + force[i, 2]):
-            return i
-    return -1
-
-
-@njit
-def mean_force(v, v0, mass, external, dt):
-    """Mean contact force (particles, 3) over ``dt`` from the change of momentum."""
-    return mass.reshape(-1, 1) * (v - v0) / dt - external
-
-
-@njit
-def lightest_and_smallest(material, density, diameter, count):
-    """Inverses of the least mass [1/kg] and radius [1/m] of each of ``count`` materials; zero where there is no particle."""
-    light, small = np.zeros(count), np.zeros(count)
-    for i in range(len(material)):
-        k = min(material[i], count - 1)
-        light[k] = max(light[k], 6.0 / (math.pi * density[i] * diameter[i] ** 3))
-        small[k] = max(small[k], 2.0 / diameter[i])
-    return light, small

@@ -3,6 +3,8 @@ import json
 
 import numpy as np
 
+from fe_el.particles.contacts.springs import Kept
+
 # A state is a dict: name -> (points, arrays). With points (rows, 3) the arrays have a row for each and find their places by
 # these;
 # without (``None``) they are rows that the part sorts out itself. The name "same" holds numbers that are alike on every
@@ -42,11 +44,11 @@ def set_particles(p, state):
 def contacts_state(c):
     """Springs of the live contacts, by the particles' numbers and the places of the facets; moving walls."""
     lists, p, out = c.lists, c.particles, {}
-    kept = lists._collect(c.step, c.layout)
+    kept = lists.collect(c.step, c.layout)
     for (particle, partner, spring), name in zip(kept, ("pairs", "facets", "shapes")):
         other = partner
         if name == "facets":
-            other = lists.facets[0].mean(1)[partner] if lists.facets is not None else np.zeros((0, 3))
+            other = lists.facets.corner.mean(1)[partner]
         out[name] = (None, {"id": p.id[particle], "other": other, "spring": spring})
     skin = np.nan if lists.skin is None else lists.skin
     out["same"] = (None, {"step": c.step, "shape": lists.shape, "motion": lists.motion, "skin": skin,
@@ -65,16 +67,16 @@ def set_contacts(c, state):
         here[here] = p.id[order][place[here]] == rows["id"][here]
         other = rows["other"]
         if name == "facets" and len(other):
-            other, found = nearest(lists.facets[0].mean(1), other, None)
+            other, found = nearest(lists.facets.corner.mean(1), other, None)
             here &= found
-        kept.append((order[place[here]], other[here].astype(np.int64), rows["spring"][here].reshape(-1, lists.width)))
+        kept.append(Kept(order[place[here]], other[here].astype(np.int64), rows["spring"][here].reshape(-1, lists.width)))
     same = state["same"]
     lists.shape[:], lists.motion[:] = same["shape"], same["motion"]
     lists.move_walls()
     for wall, row in zip(lists.walls, lists.motion):
         wall.point, wall.velocity, wall.angular_velocity = row[:3].copy(), row[3:6].copy(), row[6:].copy()
     lists.skin = None if np.isnan(same["skin"]) else float(same["skin"])
-    lists.restored, lists.springs = kept, None
+    lists.restored, lists.pairs = kept, None
     c.step, c.largest_overlap = int(same["step"]), float(same["largest_overlap"])
     c.layout, c.stale = p.layout, True
 

@@ -2,7 +2,10 @@
 import numpy as np
 
 from fe_el.checks import require_positive
+from fe_el.compiled.direct_calls import Direct
 from fe_el.particles.contacts.pair_forces import scatter_arrays, touching_pairs
+
+_touching_pairs = Direct(touching_pairs)
 
 
 class ArrayLaw:
@@ -32,10 +35,12 @@ class ArrayLaw:
         return self._contact_time
 
 
-def array_forces(law, x, state, force, radius, inverse_mass, first, second, spring, stamp, step, h):
+def array_forces(law, rows, pairs, step, h):
     """Add the pair forces of an :class:`ArrayLaw`; returns the number of contacts and the largest overlap over diameter."""
-    at = touching_pairs(x, radius, first, second)
-    i, j = first[at], second[at]
+    x, state, radius, inverse_mass = rows.x, rows.state, rows.radius, rows.inverse_mass
+    spring, stamp = pairs.spring, pairs.stamp
+    at = _touching_pairs(rows, pairs)
+    i, j = pairs.first[at], pairs.second[at]
     d = x[i] - x[j]
     r = np.linalg.norm(d, axis=1)
     normal, reach = d / r[:, None], radius[i] + radius[j]
@@ -51,5 +56,5 @@ def array_forces(law, x, state, force, radius, inverse_mass, first, second, spri
                                1 / (inverse_mass[i] + inverse_mass[j]),
                                radius[i] * radius[j] / reach, h)
     spring[at, :3], stamp[at] = new, step
-    scatter_arrays(i, j, np.ascontiguousarray(np.asarray(fn)[:, None] * normal + ft), *arms, normal, force)
+    scatter_arrays(i, j, np.ascontiguousarray(np.asarray(fn)[:, None] * normal + ft), *arms, normal, rows.force)
     return len(at), 0.5 * ((reach - r) / np.minimum(radius[i], radius[j])).max(initial=0.0)

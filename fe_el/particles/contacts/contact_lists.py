@@ -2,11 +2,11 @@
 import numpy as np
 
 from fe_el.mesh import cell_mesh as _mesh
-from fe_el.parallel.exchange import largest_of, move
-from fe_el.particles import motion
-from fe_el.particles.contacts import neighbours, waves
+from fe_el.parallel.exchange import largest_of
+from fe_el.particles.contacts import neighbours, springs, velocity_verlet, waves
 from fe_el.particles.contacts import walls as _walls
-from fe_el.particles.contacts.law_kernels import aligned
+from fe_el.particles.contacts.blocks import aligned
+from fe_el.particles.contacts.records import Candidates, FacetRows, Facets, Near, Pairs, Rows, ShapeRows, Tiles, WallRows
 from fe_el.particles.contacts.wall_patches import smooth_patches
 from fe_el.particles.contacts.wall_shapes import FACETS, shape_list
 from fe_el.particles.ghosts import Ghosts
@@ -17,7 +17,7 @@ WIDEST = 0.5  # room at most, over the largest diameter
 
 
 class ContactLists:
-    """Neighbour pairs, facet contacts and contacts with planes and cylinders.
+    """Neighbour pairs, facet contacts and contacts with planes and cylinders, as records for the compiled loops.
 
     Every particle has room to move in before the lists are out of date: half the skin, and more if it is fast. A pair is
     listed if its surfaces are closer than the room of both, a facet or wall if it is closer than the room of the particle,
@@ -34,23 +34,23 @@ class ContactLists:
         self.particles, self.walls, self._skin, self.width = particles, walls, skin, width
         self.skin, self.age, self.rebuilds, self._reach, self._cells = skin, 0, 0, -1.0, None
         self._ahead, self._most, self.wall_room, self.wall_rate = 0.0, np.inf, 0.0, 0.0
-        parts = [(_mesh.boundary_facets(particles.mesh, w.facet_tags, w.groups), k) for k, w in enumerate(walls)
-                 if w.kind == FACETS]
-        self.meeting, self.facets = 1, None
-        self.facet_rows = (np.zeros((0, 3, 3)), np.zeros((0, 3), np.uint32), np.zeros(0, np.uint32), np.zeros((0, 12)),
-                           np.zeros((0, 2), np.int64))
-        if parts:
-            self.facets = tuple(np.concatenate([f[i] for f, _ in parts]) for i in range(3))
-            self.balls = _walls.facet_balls(self.facets[0])
-            wall = np.concatenate([np.full(len(f[2]), k, np.uint32) for f, k in parts])
-            patch, self.meeting = smooth_patches(*self.facets[:2])
-            self.facet_rows = (self.facets[0], self.facets[1].astype(np.uint32), wall, _walls.facet_frames(self.facets[0]),
-                               patch)
+        self.meeting, self.facets = self._facets()
         self.kind, self.wall_top = np.array([w.kind for w in walls] or [FACETS], np.int64), 0.0
         self.motion, self.shape, self.wall_material = self._wall_rows()
-        self.tile_starts, self.strips, self.tile_layout, self.waves = None, 1, None, waves.NONE
-        self.ghosts, self.springs, self.restored, self.has_shapes = None, None, None, bool((self.kind != FACETS).any())
-        self.first = self.second = None
+        self.tile_starts, self.strips, self.tile_layout, self.tiles = None, 1, None, waves.NONE
+        self.ghosts, self.pairs, self.restored, self.has_shapes = None, None, None, bool((self.kind != FACETS).any())
+
+    def _facets(self):
+        """How many smooth pieces of wall meet in a point at most, and all facets of walls."""
+        parts = [(_mesh.boundary_facets(self.particles.mesh, w.facet_tags, w.groups), k) for k, w in enumerate(self.walls)
+                 if w.kind == FACETS]
+        if not parts:
+            return 1, Facets(np.zeros((0, 3, 3)), np.zeros((0, 3), np.uint32), np.zeros(0, np.uint32), np.zeros((0, 12)),
+                             np.zeros((0, 2), np.int64))
+        corner, vertex = (np.concatenate([f[i] for f, _ in parts]) for i in range(2))
+        wall = np.concatenate([np.full(len(f[2]), k, np.uint32) for f, k in parts])
+        self.balls, (patch, meeting) = _walls.facet_balls(corner), smooth_patches(corner, vertex)
+        return meeting, Facets(corner, vertex.astype(np.uint32), wall, _walls.facet_frames(corner), patch)
 
     def _wall_rows(self):
         """Motion, shape and material of all walls."""
@@ -70,9 +70,10 @@ class ContactLists:
         p, n = self.particles, len(self.particles)
         if self.ghosts is None or self.ghosts.owned != n:
             return False
-        return not (np.array_equal(p.diameter / 2, self.radius[:n]) and np.array_equal(p.position, self.x[:n])
-                    and np.array_equal(np.where(p.held, 0.0, 1 / p.mass), self.inverse_mass[:n])
-                    and np.array_equal(p.material, self.material[:n]))
+        rows = self.rows
+        return not (np.array_equal(p.diameter / 2, rows.radius[:n]) and np.array_equal(p.position, rows.x[:n])
+                    and np.array_equal(np.where(p.held, 0.0, 1 / p.mass), rows.inverse_mass[:n])
+                    and np.array_equal(p.material, rows.material[:n]))
 
     def move_walls(self):
         """Tell planes and cylinders where they are now."""
@@ -82,22 +83,22 @@ class ContactLists:
 
     def with_walls(self, walls, step, layout):
         """New lists for other walls, with the springs of all contacts that stay."""
-        new, kept = ContactLists(self.particles, walls, self._skin, self.width), self._collect(step, layout)
+        new, kept = ContactLists(self.particles, walls, self._skin, self.width), self.collect(step, layout)
         new.skin, new.rebuilds, new.restored = self.skin, self.rebuilds, [kept[0]]
-        for (particle, partner, spring), old, now in zip(kept[1:], *(x._of_walls() for x in (self, new))):
+        for (particle, partner, spring), old, now in zip(kept[1:], *(x.of_walls() for x in (self, new))):
             to = np.full(len(old) + 1, -1)
             for k, wall in enumerate(self.walls):
                 if wall in walls:
                     to[:-1][old == k] = np.flatnonzero(now == walls.index(wall))
             stays = to[partner] >= 0
-            new.restored.append((particle[stays], to[partner[stays]], spring[stays]))
+            new.restored.append(springs.Kept(particle[stays], to[partner[stays]], spring[stays]))
         if self.ghosts is not None:
             self.ghosts.free()
         return new
 
-    def _of_walls(self):
+    def of_walls(self):
         """Number of the wall of each partner in the lists of facets and of shapes."""
-        return self.facet_rows[2], np.arange(len(self.walls))
+        return self.facets.wall, np.arange(len(self.walls))
 
     def _wall_speed(self):
         """Largest speed of a wall that moves, where the particles of this rank are [m/s]."""
@@ -112,20 +113,27 @@ class ContactLists:
         return bool(self.motion[self.kind != FACETS, 3:].any())
 
     def pack(self, external):
-        """Positions, and rows of state and of forces, of owned and ghost particles; the same memory until renewed."""
-        p = self.particles
-        motion.pack(p.position, p.velocity, p.angular_velocity, external, p.contact_force, p.contact_torque, self.x,
-                    self.state,
-                    self.force)
-        self.ghosts.forward_state(self.x, self.state)
-        return self.x, self.state, self.force
+        """Fill the rows of owned and ghost particles from these, and return them; the same memory until renewed."""
+        p, rows = self.particles, self.rows
+        velocity_verlet.pack(p.position, p.velocity, p.angular_velocity, external, p.contact_force, p.contact_torque, rows.x,
+                             rows.state, rows.force)
+        self.ghosts.forward_state(rows.x, rows.state)
+        return rows
+
+    def wall_rows(self, force, deepest):
+        """All walls, with arrays for the forces on them and for the largest overlap."""
+        return WallRows(self.motion, self.wall_material, force, deepest)
+
+    def shape_entries(self):
+        """Planes and cylinders near particles, and these as the user has set them."""
+        return self.shapes._replace(kind=self.kind, shape=self.shape)
 
     # -- renewal -------------------------------------------------------------------------------------------------------
 
     def rebuild(self, h, step, layout):
         """Locate, migrate, sort, exchange ghosts and make the lists, keeping the springs of live contacts."""
         p, comm = self.particles, self.particles.comm
-        kept = self._collect(step, layout)
+        kept = self.collect(step, layout)
         largest, speed, inverse = largest_of(comm, *((p.diameter.max(), p.speed(),
                                                       1 / p.diameter.min()) if len(p) else np.zeros(3)))
         self._choose_skin(1 / max(inverse, 1e-300), largest, speed, h)
@@ -133,12 +141,12 @@ class ContactLists:
         widest = self._room(speed)
         self._check_period(largest, widest)
         p.reach_halo(2 * (largest + self.skin))
-        if self.facets is not None and (self._reach < largest / 2 + widest or self._cells is not p.cells):
+        if len(self.facets.corner) and (self._reach < largest / 2 + widest or self._cells is not p.cells):
             self._reach, self._cells = 1.2 * (largest / 2 + widest), p.cells
-            self._candidates = _walls.wall_candidates(p.cells, self.facets[0], self._reach)
+            self._in_cells = _walls.wall_candidates(p.cells, self.facets.corner, self._reach)
         before, destination = p.id, p.locate()
         if destination is not None:
-            kept = self._move_springs(kept, destination, before)
+            kept = springs.moved(comm, kept, destination, before, p.id)
         in_tiles = comm.size == 1 and len(p) >= waves.FROM
         if self.rebuilds % SORT_EVERY == 0 or layout is None or in_tiles and self.tile_layout != p.layout:
             kept = self._sort(kept, largest + self.skin, in_tiles)
@@ -148,11 +156,11 @@ class ContactLists:
         speeds = np.sqrt((p.velocity ** 2).sum(1))
         room = self._room(speeds)
         x, pairs = self._pairs(room)
-        self.radius = self.ghosts.grow(p.diameter / 2)
-        self.inverse_mass = self.ghosts.grow(np.where(p.held, 0.0, 1 / p.inertia))
-        self.ids, self.material = self.ghosts.grow(p.id), self.ghosts.grow(p.material).view(np.uint32)
-        self.x, (self.state, self.force) = np.empty((len(self.radius), 3)), (aligned(len(self.radius), 8) for _ in range(2))
-        self.state[:, 0], self.state[:, 7] = self.radius, self.inverse_mass / self.radius
+        radius, self.ids = self.ghosts.grow(p.diameter / 2), self.ghosts.grow(p.id)
+        self.rows = Rows(np.empty((len(radius), 3)), aligned(len(radius), 8), aligned(len(radius), 8), radius,
+                         np.empty(len(radius)), self.ghosts.grow(p.material).view(np.uint32))
+        self.rows.state[:, 0] = radius
+        self.weigh()
         self._lists(x, pairs, self.ghosts.grow(room), kept, step)
         self.x0, self.age = np.column_stack([p.position, (room - h * speeds) ** -2]), 0  # out of date a sub-step early
         self.rebuilds += 1
@@ -160,8 +168,8 @@ class ContactLists:
     def weigh(self):
         """Take the particles' inertia as it is now. Collective."""
         p = self.particles
-        self.inverse_mass[:] = self.ghosts.grow(np.where(p.held, 0.0, 1 / p.inertia))
-        self.state[:, 7] = self.inverse_mass / self.radius
+        self.rows.inverse_mass[:] = self.ghosts.grow(np.where(p.held, 0.0, 1 / p.inertia))
+        self.rows.state[:, 7] = self.rows.inverse_mass / self.rows.radius
 
     def _choose_skin(self, smallest, largest, speed, h):
         """A skin that lasts some hundred sub-steps with the room that speed adds; always several of the fastest particle."""
@@ -221,57 +229,32 @@ class ContactLists:
         self.tile_layout = p.layout if in_tiles else None
         count = -(-(int(tile.max()) + 1) // self.strips) * self.strips  # whole slabs
         self.tile_starts = np.concatenate([[0], np.cumsum(np.bincount(tile, minlength=count))])
-        return [(place[particle], partner, spring) for particle, partner, spring in kept]
+        return [one._replace(particle=place[one.particle]) for one in kept]
 
-    def _collect(self, step, layout):
-        """Springs of the live contacts of the present lists."""
-        none = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, self.width)))
-        if self.springs is None:
-            kept, self.restored = self.restored or [none] * 3, None  # of a checkpoint
+    def collect(self, step, layout):
+        """Springs of the live contacts of the present lists: of pairs, facets and shapes."""
+        if self.pairs is None:
+            kept, self.restored = self.restored or [springs.none(self.width)] * 3, None  # of a checkpoint
             return kept
         n = self.ghosts.owned
-        out = [neighbours.collect_springs(*where, self.springs[k], self.stamps[k], step, k == 0, n, self.ids)
-               for k, where in enumerate(self._partners())]
-        return out if layout == self.particles.layout else [self._renumber(*kept) for kept in out]
-
-    def _renumber(self, particle, partner, spring):
-        """Rows of the particles as they are now, after some were inserted or removed."""
-        ids, old = self.particles.id, self.ids[:self.ghosts.owned]
-        order = np.argsort(ids)
-        place = np.searchsorted(ids, old, sorter=order)
-        row = order[np.minimum(place, len(order) - 1)] if len(order) else np.zeros(len(old), np.int64)
-        here = ids[row] == old if len(order) else np.zeros(len(old), bool)
-        keep = here[particle]
-        return row[particle[keep]], partner[keep], spring[keep]
+        out = [springs.Kept(*springs.collect_springs(*where, entries.spring, entries.stamp, step, entries is self.pairs, n,
+                                                     self.ids))
+               for where, entries in zip(self._partners(), (self.pairs, self.near_facets, self.shapes))]
+        ids = self.particles.id
+        return out if layout == self.particles.layout else [springs.renumbered(kept, self.ids[:n], ids) for kept in out]
 
     def _partners(self):
         """First particle, the other's place, and lasting numbers of all others, of each list."""
-        walls = np.arange(len(self.facet_rows[2])), np.arange(len(self.walls))
-        return ((self.first, self.second, self.ids), (self.wall_particle, self.wall_facet, walls[0]),
-                (self.shape_particle, self.shape_wall, walls[1]))
-
-    def _move_springs(self, kept, destination, ids_before):
-        """Send the springs of particles that changed rank after them."""
-        comm, leaving, out = self.particles.comm, destination != self.particles.comm.rank, []
-        place = np.cumsum(~leaving) - 1
-        stayed = int((~leaving).sum())
-        arrived = self.particles.id[stayed:]  # they stand behind those that stayed
-        order = np.argsort(arrived)
-        for particle, partner, spring in kept:
-            go = leaving[particle]
-            who = ids_before[particle[go]]
-            ids, other, stretch = move(comm, destination[particle[go]], [who, partner[go], spring[go]])
-            index = stayed + order[np.searchsorted(arrived, ids, sorter=order)]
-            out.append((np.concatenate([place[particle[~go]], index]), np.concatenate([partner[~go], other]),
-                        np.concatenate([spring[~go], stretch])))
-        return out
+        facets, walls = np.arange(len(self.facets.wall)), np.arange(len(self.walls))
+        return ((self.pairs.first, self.pairs.second, self.ids),
+                (self.near_facets.particle, self.near_facets.facet, facets), (self.shapes.particle, self.shapes.wall, walls))
 
     def _pairs(self, room):
         """Positions and pairs with the ghosts that have a partner here; the others are given up."""
         p, n = self.particles, len(self.particles)
         x = self.ghosts.grow(p.position)
         x[n:] += self.ghosts.shift
-        before = 0 if self.first is None else len(self.first)
+        before = 0 if self.pairs is None else len(self.pairs.first)
         first, second = neighbours.neighbour_pairs(x, self.ghosts.grow(p.diameter / 2 + room), n, before + before // 4)
         held = self.ghosts.grow(p.held)
         if held.any():  # two that are held have no reduced mass
@@ -285,37 +268,33 @@ class ContactLists:
 
     def _lists(self, x, pairs, room, kept, step):
         """Pairs, facets and shapes near each particle, with the kept springs."""
-        p, n = self.particles, len(self.particles)
-        self.first, self.second = pairs
+        p, n, radius = self.particles, len(self.particles), self.rows.radius
         in_tiles = self.tile_layout == p.layout
         if in_tiles:
             count = len(self.tile_starts) - 1
             tile = self.ghosts.grow(np.repeat(np.arange(count), np.diff(self.tile_starts)))
-            self.first, self.second, pair_starts, *apart = waves.by_tile(*pairs, tile, self.strips, count)
-        self.gap = neighbours.gaps(x, self.radius, room, self.first, self.second)
-        empty, reach = np.zeros(0, np.uint32), self.radius + room
-        self.wall_particle = self.wall_facet = self.shape_particle = self.shape_wall = empty
-        if self.facets is not None:
-            near = _walls.wall_list(x, reach, p.cell, *self._candidates, self.facets[0], self.balls)
-            self.wall_particle, self.wall_facet = (a[~p.held[near[0]]].view(np.uint32) for a in near)
+            *pairs, pair_starts, apart, apart_strips = waves.by_tile(*pairs, tile, self.strips, count)
+        none, reach = (np.zeros(0, np.uint32),) * 2, radius + room
+        facets = shapes = none
+        if len(self.facets.corner):
+            near = _walls.wall_list(x, reach, p.cell, *self._in_cells, self.facets.corner, self.balls)
+            facets = [a[~p.held[near[0]]].view(np.uint32) for a in near]
         if self.has_shapes:
             near = shape_list(x, reach + self.wall_room, n, self.kind, self.shape, self.motion)
-            self.shape_particle, self.shape_wall = (a[~p.held[near[0]]].view(np.uint32) for a in near)
-        self.scratch = _walls.scratch(self.wall_particle)
-        self.wall_gap = _walls.wall_gaps(x, self.radius, room, self.wall_particle, self.wall_facet, self.facet_rows[0])
-        self.listed, self.wall_listed = (np.empty(len(a) + 1, np.uint32) for a in (self.gap, self.wall_gap))
-        self.near = (-1.0, 0, 0)  # see update_near
-        self.waves = waves.NONE
+            shapes = [a[~p.held[near[0]]].view(np.uint32) for a in near]
+        gaps = (neighbours.gaps(x, radius, room, *pairs), _walls.wall_gaps(x, radius, room, *facets, self.facets.corner))
+        self.candidates = Candidates(*gaps, *(np.empty(len(a) + 1, np.uint32) for a in gaps))
+        self.near, self.tiles = Near(-1.0, 0, 0), waves.NONE  # see update_near
         if in_tiles:
             images = np.argsort(tile[n:], kind="stable")
-            places = [np.searchsorted(a, b) for a, b in ((self.wall_particle, self.tile_starts),
-                                                         (self.shape_particle, self.tile_starts),
-                                                         (tile[n:][images], np.arange(count + 1)))]
-            self.waves = (self.tile_starts, pair_starts, *places, images, self.strips, *apart,
-                          *waves.at_once(n, count // self.strips, apart[0], self.strips, apart[1]))
-        self.springs, self.stamps = [], []
-        for where, old in zip(self._partners(), kept):
-            spring, stamp = aligned(len(where[0]), self.width), np.empty(len(where[0]), np.int32)
-            neighbours.restore_springs(*where, n, *old, step, spring, stamp)
-            self.springs.append(spring)
-            self.stamps.append(stamp)
+            facet_starts, shape_starts = (np.searchsorted(a, self.tile_starts) for a in (facets[0], shapes[0]))
+            image_starts = np.searchsorted(tile[n:][images], np.arange(count + 1))
+            self.tiles = Tiles(self.tile_starts, pair_starts, facet_starts, shape_starts, image_starts, images, self.strips,
+                               apart, apart_strips,
+                               *waves.at_once(n, count // self.strips, apart, self.strips, apart_strips))
+        empty = [(aligned(len(a[0]), self.width), np.empty(len(a[0]), np.int32)) for a in (pairs, facets, shapes)]
+        self.pairs = Pairs(*pairs, *empty[0])
+        self.near_facets = FacetRows(*facets, *empty[1], self.facets, _walls.scratch(facets[0]))
+        self.shapes = ShapeRows(*shapes, *empty[2], self.kind, self.shape)
+        for where, old, (spring, stamp) in zip(self._partners(), kept, empty):
+            springs.restore_springs(*where, n, *old, step, spring, stamp)

@@ -8,13 +8,19 @@ from fe_el.compiled.direct_calls import Direct
 from fe_el.parallel.exchange import largest_of, raise_everywhere
 from fe_el.parallel.messages import largest, ranks_of
 from fe_el.particles import motion
-from fe_el.particles.contacts import contact_lists
+from fe_el.particles.contacts import contact_lists, velocity_verlet
 from fe_el.particles.contacts.array_law import ArrayLaw, array_forces
+from fe_el.particles.contacts.blocks import new_block
 from fe_el.particles.contacts.contact_laws import HertzMindlin, LinearSpringDashpot
-from fe_el.particles.contacts.law_kernels import constant_rows, new_block
-from fe_el.particles.contacts.sub_steps import all_forces, sub_steps, update_near, wall_forces
+from fe_el.particles.contacts.law_kernels import constant_rows
+from fe_el.particles.contacts.records import Assembly, Drift, Near
+from fe_el.particles.contacts.step_limit import step_limit
+from fe_el.particles.contacts.sub_steps import all_forces, near_numbers, sub_steps, wall_forces
 from fe_el.particles.contacts.wall_shapes import FACETS, FacetWalls, move_walls
 from fe_el.particles.particles import LostParticle, Particles
+
+_kick, _drift_on = Direct(velocity_verlet.kick), Direct(velocity_verlet.drift_on)
+_sub_steps, _all_forces, _near_numbers, _wall_forces = map(Direct, (sub_steps, all_forces, near_numbers, wall_forces))
 
 
 class Contacts:
@@ -56,9 +62,8 @@ class Contacts:
             walls = FacetWalls(*walls) if len(walls) == 2 and hasattr(walls[0], "indices") else list(walls)
         self.walls = list(np.atleast_1d(np.array(walls, object))) if walls is not None else []
         self._check_parts()
-        self._sub_steps, self._all_forces = Direct(sub_steps), Direct(all_forces)
         self.lists = contact_lists.ContactLists(particles, list(self.walls), skin, self._spring_width())
-        self.block, self.ranks = (new_block(), new_block()), ranks_of(particles.comm)
+        self.pair_block, self.wall_block, self.ranks = new_block(), new_block(), ranks_of(particles.comm)
         self.step, self.layout, self.stale = 1, None, False
         self.seconds = {"neighbours": 0.0, "contacts": 0.0}
         self.touching, self.touching_walls, self.largest_overlap, self.steps_last, self.behind = 0, 0, 0.0, 0, None
@@ -101,9 +106,9 @@ class Contacts:
             self.layout, self.stale = p.layout if self.layout is not None else None, True
         elif largest_of(p.comm, float(self.lists.take_up() and self.layout == p.layout))[0]:
             self.stale = True
-        for block, law in zip(self.block, (self.law, self.wall_law)):
+        for block, law in ((self.pair_block, self.law), (self.wall_block, self.wall_law)):
             if not isinstance(law, ArrayLaw):
-                constant_rows(block[0], law.numbers)
+                constant_rows(block.rows, law.numbers)
 
     def _check_materials(self):
         for what, indices, law in (("particle", self.particles.material, self.law), *(
@@ -124,34 +129,8 @@ class Contacts:
 
         Where more than three pieces of wall meet in one point their stiffnesses add up.
         """
-        p = self.particles
-        count = max(getattr(law, "materials", None) or 1 for law in (self.law, self.wall_law))
-        density = p.inertia / p.volume if "added_mass" in p.properties else p.density
-        light, small = motion.lightest_and_smallest(p.material, density, p.diameter, count)
-        extremes = (p.speed(), p.diameter.max()) if len(p) else np.zeros(2)
-        speed, biggest, *rest = largest_of(p.comm, *extremes, *light, *small)
-        light, small = np.array(rest).reshape(2, count)
-        if not biggest > 0:
-            raise ValueError("There are no particles; insert some before advancing contacts.")
-        speed = max(2 * speed, np.sqrt(np.linalg.norm(p.gravity) * biggest), 1e-3)
-        there = light > 0
-        times = [self._shortest(self.law, light + light[:, None], small + small[:, None], there & there[:, None], speed)]
-        if self.walls:
-            together = max(self.lists.meeting / 3, 1.0)  # three at right angles, as in a corner, do not add up
-            times.append(self._shortest(self.wall_law, light[:, None] + 0 * light, small[:, None] + 0 * small,
-                                        there[:, None] & (light > -1), speed) / np.sqrt(together))
-        return min(times) / self.steps_per_contact
-
-    @staticmethod
-    def _shortest(law, inverse_mass, inverse_radius, there, speed):
-        """Shortest contact time of the pairs of materials that are ``there`` [s]."""
-        pairs = getattr(law, "materials", None) or 1
-        if pairs < len(there):  # one law for all materials
-            inverse_mass, inverse_radius = inverse_mass.max(keepdims=True), inverse_radius.max(keepdims=True)
-            there = np.ones((1, 1), bool)
-        mass, radius = 1 / np.where(there, inverse_mass, np.inf), 1 / np.where(there, inverse_radius, np.inf)
-        mass, radius = np.where(there, mass, np.inf), np.where(there, radius, 1.0)
-        return law.contact_time(mass, radius, speed)
+        return step_limit(self.particles, self.law, self.wall_law if self.walls else None,
+                          self.lists.meeting) / self.steps_per_contact
 
     def advance(self, dt):
         """Advance the particles by ``dt`` [s] in velocity Verlet sub-steps."""
@@ -181,7 +160,7 @@ class Contacts:
                 self._rebuild(h)
         del p.properties["_external"], p.properties["_fading"]
         start = p.properties.pop("_start_velocity")
-        p.mean_contact_force = motion.mean_force(p.velocity, start, p.inertia, self._external(), dt)
+        p.mean_contact_force = velocity_verlet.mean_force(p.velocity, start, p.inertia, self._external(), dt)
         for wall, impulse in zip(self.walls, p.comm.allreduce(self.wall_impulse)):
             wall.force = impulse * h / dt
         self.lists.move_walls()
@@ -212,12 +191,13 @@ class Contacts:
         """Sub-steps until the neighbour list is out of date (``stale``), at most ``most``; returns how many."""
         p, n, lists = self.particles, len(self.particles), self.lists
         external, fading = p.properties["_external"], p.properties["_fading"][:n * self.fades]
-        x, state, force = lists.pack(external + fading[:, :3] if self.fades else external)
-        drift = external, np.where(p.held, 0.0, 10.0 / (p.mass * p.diameter ** 2)), lists.x0, fading
-        steps = self._steps(h, most, drift) if isinstance(self.law, ArrayLaw) else self._compiled_steps(h, most, drift)
+        rows = lists.pack(external + fading[:, :3] if self.fades else external)
+        drift = Drift(external, np.where(p.held, 0.0, 10.0 / (p.mass * p.diameter ** 2)), lists.x0, fading)
+        steps = (self._steps if isinstance(self.law, ArrayLaw) else self._compiled_steps)(h, most, drift)
         self._check_behind()
-        self._check_finite(x[:n], force)
-        motion.kick(state, force, lists.inverse_mass, drift[1], 0.5 * h, n)
+        self._check_finite()
+        _kick(rows, drift.inverse_inertia, 0.5 * h, n)
+        x, state, force = rows.x, rows.state, rows.force
         p.position, p.velocity, p.angular_velocity = x[:n].copy(), state[:n, 1:4].copy(), state[:n, 4:7].copy()
         p.contact_force, p.contact_torque = force[:n, :3] - external, force[:n, 4:7].copy()
         if self.fades:
@@ -226,15 +206,13 @@ class Contacts:
 
     def _steps(self, h, most, drift):
         """Sub-steps with any law."""
-        lists, part, steps = self.lists, 0.5, 0
-        x, state, force = lists.x, lists.state, lists.force
-        x0 = drift[2]
+        lists, rows, part, steps = self.lists, self.lists.rows, 0.5, 0
         self.stale = False
         while steps < most and not self.stale:
-            moved, _, _ = motion.drift_on(x, state, force, lists.inverse_mass, drift, part, h, 0, len(x0))
+            moved, _, _ = _drift_on(rows, drift, part, h, 0, len(self.particles))
             part, steps = 1.0, steps + 1
-            lists.ghosts.forward_state(x, state)
-            force[len(x0):] = 0.0
+            lists.ghosts.forward_state(rows.x, rows.state)
+            rows.force[len(self.particles):] = 0.0
             if lists.has_shapes:
                 move_walls(lists.kind, lists.shape, lists.motion, h)
             moved = largest(self.ranks, moved)
@@ -245,11 +223,11 @@ class Contacts:
 
     def _compiled_steps(self, h, most, drift):
         """The same in one call, with a built-in law."""
-        lists, rows = self.lists, self._rows()
-        steps, self.stale, self.touching, behind, self.largest_overlap, lists.near = self._sub_steps(
-            most, h, lists.age, lists.wall_rate, rows[0], drift, lists.ghosts.rows(), self.ranks, lists.waves,
-            *rows[1:], self.step, self.block, self._numbers(), self.largest_overlap)
-        self.step, lists.age = self.step + steps, lists.age + steps
+        lists = self.lists
+        steps, self.stale, self.touching, behind, self.largest_overlap, *near = _sub_steps(
+            most, h, lists.age, lists.wall_rate, self._assembly(drift), lists.ghosts.rows(), lists.tiles, lists.near,
+            self.step, self.largest_overlap)
+        self.step, lists.age, lists.near = self.step + steps, lists.age + steps, Near(*near)
         self.behind = behind if behind >= 0 else self.behind
         return steps
 
@@ -257,61 +235,54 @@ class Contacts:
         """Contact forces of particles that came from outside: the first half kick needs them."""
         p, n = self.particles, len(self.particles)
         p.contact_force, p.contact_torque = np.zeros((n, 3)), np.zeros((n, 3))
-        x, _, force = self.lists.pack(p.contact_force)
+        rows = self.lists.pack(p.contact_force)
         self._forces(0.0, 0.0)
         self._check_behind()
-        self._check_finite(x[:n], force)
-        p.contact_force, p.contact_torque = force[:n, :3].copy(), force[:n, 4:7].copy()
+        self._check_finite()
+        p.contact_force, p.contact_torque = rows.force[:n, :3].copy(), rows.force[:n, 4:7].copy()
 
-    def _check_finite(self, x, force):
+    def _check_finite(self):
         """Stop before a position or force that is not a number spreads."""
-        i, p, message = motion.first_not_finite(x, force), self.particles, None
+        p, rows, message = self.particles, self.lists.rows, None
+        i = velocity_verlet.first_not_finite(rows.x[:len(p)], rows.force)
         if i >= 0:
-            message = (f"The contact force on particle {p.id[i]} near {p.position[i].tolist()} is {force[i, :3].tolist()} "
-                       f"(step "
-                       f"{p.step}, rank {p.comm.rank}). Either two particles lie on one point, or the step is too large for "
-                       f"the "
-                       "law: insert without overlap, or use more steps_per_contact.")
+            message = (f"The contact force on particle {p.id[i]} near {p.position[i].tolist()} is "
+                       f"{rows.force[i, :3].tolist()} (step {p.step}, rank {p.comm.rank}). Either two particles lie on one "
+                       "point, or the step is too large for the law: insert without overlap, or use more steps_per_contact.")
         raise_everywhere(p.comm, FloatingPointError, message)
 
-    def _numbers(self):
-        return self.law.numbers, getattr(self.wall_law, "numbers", self.law.numbers)  # without walls it may be an ArrayLaw
-
-    def _rows(self):
-        """What the kernels need of particles, pairs (twice), what is near, facets, planes and cylinders, and of all
-        walls."""
-        lists = self.lists
-        facets = (lists.wall_particle, lists.wall_facet, lists.springs[1], lists.stamps[1], *lists.facet_rows, lists.scratch)
-        shapes = (lists.shape_particle, lists.shape_wall, lists.springs[2], lists.stamps[2], lists.kind, lists.shape)
-        return ((lists.x, lists.state, lists.force, lists.radius, lists.inverse_mass, lists.material),
-                (lists.first, lists.second, lists.springs[0], lists.stamps[0]),
-                (lists.gap, lists.wall_gap, lists.listed, lists.wall_listed), lists.near, facets, shapes,
-                (lists.motion, lists.wall_material, self.wall_impulse, np.array([self.largest_overlap])))
+    def _assembly(self, drift):
+        """All that compiled sub-steps with built-in laws act on and with."""
+        lists, law = self.lists, self.law.numbers
+        walls = lists.wall_rows(self.wall_impulse, np.array([self.largest_overlap]))
+        return Assembly(lists.rows, drift, lists.pairs, lists.candidates, lists.near_facets, lists.shape_entries(), walls,
+                        self.pair_block, self.wall_block, law, getattr(self.wall_law, "numbers", law))  # or an ArrayLaw
 
     def _forces(self, h, moved):
         """Wall and pair forces at one instant, when particles have moved by up to ``sqrt(moved)`` of their room."""
-        lists, rows = self.lists, self._rows()
         self.step += 1
         if isinstance(self.law, ArrayLaw):
-            return self._array_forces(h, moved, rows)
-        self.touching, behind, self.largest_overlap, lists.near = self._all_forces(
-            *rows, moved, self.step, self.block, self._numbers(), h, self.largest_overlap)
+            return self._array_forces(h, moved)
+        lists, none = self.lists, np.zeros((0, 4))
+        self.touching, behind, self.largest_overlap, *near = _all_forces(
+            self._assembly(Drift(none, none[:, 0], none, none)), lists.near, moved, self.step, h, self.largest_overlap)
+        lists.near = Near(*near)
         self.behind = behind if behind >= 0 else self.behind
         return None
 
-    def _array_forces(self, h, moved, rows):
+    def _array_forces(self, h, moved):
         """The same for an array law."""
-        (x, state, force, radius, inverse_mass, _), pairs, found, near, facets, shapes, walls = rows
         lists, touching_walls = self.lists, 0
+        walls = lists.wall_rows(self.wall_impulse, np.array([self.largest_overlap]))
         if self.walls:
-            lists.near = update_near(moved, *found, *near)
-            touching_walls, behind = wall_forces(rows[0], lists.wall_listed[:lists.near[2]], facets, shapes, walls,
-                                                 self.step,
-                                                 self.block[1], self.wall_law.numbers, h)
+            lists.near = Near(*_near_numbers(moved, lists.candidates, lists.near))
+            listed = lists.candidates.wall_listed[:lists.near.facets]
+            touching_walls, behind = _wall_forces(lists.rows, listed, lists.near_facets, lists.shape_entries(), walls,
+                                                  self.wall_block, self.wall_law.numbers, self.step, h)
             self.behind = behind if behind >= 0 else self.behind
-        touching, overlap = array_forces(self.law, x, state, force, radius, inverse_mass, *pairs, self.step, h)
+        touching, overlap = array_forces(self.law, lists.rows, lists.pairs, self.step, h)
         self.touching = touching + touching_walls
-        self.largest_overlap = max(self.largest_overlap, overlap, walls[3][0])
+        self.largest_overlap = max(self.largest_overlap, overlap, walls.deepest[0])
 
     def _check_behind(self):
         """Stop if a particle's centre came onto or behind a wall in the last sub-steps."""

@@ -1,12 +1,31 @@
-"""Neighbour lists with a skin, and the springs of contacts that survive their renewal.
+"""Neighbour lists with a skin.
 
 Particles are binned in one grid per class of reaches (each twice the one before): every particle searches its own class and
 the coarser ones, or is searched by these if they are few, so the cost follows the number of neighbours however wide the
 sizes spread.
 """
+from typing import NamedTuple
+
 import numpy as np
 
 from fe_el.compiled.cache import njit
+
+
+class Grids(NamedTuple):
+    """One grid of boxes per class of sizes."""
+
+    lower: np.ndarray  #: (3,) corner [m]
+    size: np.ndarray  #: (classes,) edge of a box [m]
+    shape: np.ndarray  #: (classes, 3) boxes
+    offset: np.ndarray  #: (classes + 1,) boxes before those of the class
+
+
+class Cloud(NamedTuple):
+    """Particles in the order of their boxes."""
+
+    order: np.ndarray  #: (particles,) which they are
+    rows: np.ndarray  #: (particles, 4) position and radius
+    start: np.ndarray  #: (boxes + 1,) the first of each box
 
 
 @njit
@@ -49,22 +68,23 @@ def _classes(radius, smallest, count):
 
 
 @njit
-def _box(x, i, lower, size, shape, g):
+def _box(x, i, grids, g):
     """Indices of the box of a grid that holds particle i."""
+    lower, size, shape = grids.lower, grids.size, grids.shape
     return (min(max(int((x[i, 0] - lower[0]) / size[g]), 0), shape[g, 0] - 1),
             min(max(int((x[i, 1] - lower[1]) / size[g]), 0), shape[g, 1] - 1),
             min(max(int((x[i, 2] - lower[2]) / size[g]), 0), shape[g, 2] - 1))
 
 
 @njit
-def _sorted_by_box(x, radius, level, lower, size, shape, offset):
-    """Particles in the order of their boxes, their positions and radii, and where the particles of each box begin."""
-    m = len(x)
+def _sorted_by_box(x, radius, level, grids):
+    """What a :class:`Cloud` holds, of particles of the given classes."""
+    m, shape, offset = len(x), grids.shape, grids.offset
     start, box = np.zeros(offset[-1] + 1, np.uint64), np.empty(m, np.uint64)
     order, rows = np.empty(m, np.uint32), np.empty((m, 4))
     for i in range(m):
         g = level[i]
-        a, b, c = _box(x, i, lower, size, shape, g)
+        a, b, c = _box(x, i, grids, g)
         box[i] = offset[g] + (a * shape[g, 1] + b) * shape[g, 2] + c
         start[box[i] + np.uint64(1)] += np.uint64(1)
     for k in range(offset[-1]):
@@ -106,8 +126,10 @@ def _few(start, size, offset):
 
 
 @njit
-def _pairs_of_few(g, coarse, order, rows, start, owned, lower, size, shape, offset, first, second, number):
+def _pairs_of_few(g, coarse, cloud, grids, owned, first, second, number):
     """Pairs of the particles of a coarser class with those of class g; returns the number of pairs so far."""
+    order, rows, start = cloud.order, cloud.rows, cloud.start
+    lower, size, shape, offset = grids.lower, grids.size, grids.shape, grids.offset
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
     for n in range(start[offset[coarse]], start[offset[coarse + 1]]):
         reach = rows[n, 3] + 0.5 * size[g]
@@ -123,11 +145,13 @@ def _pairs_of_few(g, coarse, order, rows, start, owned, lower, size, shape, offs
 
 
 @njit
-def _search(order, rows, start, owned, lower, size, shape, offset, first, second):
+def _search(cloud, grids, owned, first, second):
     """Fill the pairs that reach each other, one of the two owned; returns their number (beyond the capacity: only counted).
 
     Boxes that follow each other in the last direction follow each other in memory: their particles are one range.
     """
+    order, rows, start = cloud.order, cloud.rows, cloud.start
+    size, shape, offset = grids.size, grids.shape, grids.offset
     number, begin, end = np.uint64(0), np.empty(9, np.uint64), np.empty(9, np.uint64)
     one, few = np.uint64(1), _few(start, size, offset)
     for g in range(len(size)):
@@ -149,7 +173,7 @@ def _search(order, rows, start, owned, lower, size, shape, offset, first, second
                 for coarse in range(g + 1, len(size)):
                     if few[g, coarse]:
                         continue
-                    p, q, r = _box(rows, n, lower, size, shape, coarse)
+                    p, q, r = _box(rows, n, grids, coarse)
                     low_r, high_r = max(r - 1, 0), min(r + 2, shape[coarse, 2])
                     for i in range(max(p - 1, 0), min(p + 2, shape[coarse, 0])):
                         for j in range(max(q - 1, 0), min(q + 2, shape[coarse, 1])):
@@ -158,8 +182,7 @@ def _search(order, rows, start, owned, lower, size, shape, offset, first, second
                                                  number)
         for coarse in range(g + 1, len(size)):
             if few[g, coarse]:
-                number = _pairs_of_few(g, coarse, order, rows, start, owned, lower, size, shape, offset, first, second,
-                                       number)
+                number = _pairs_of_few(g, coarse, cloud, grids, owned, first, second, number)
     return number
 
 
@@ -197,14 +220,14 @@ def neighbour_pairs(x, radius, owned, expected=0):
         while (extent / size[g] + 1).prod() > 4 * len(x) + 64:  # sparse clouds: no more boxes than particles need
             size[g] *= 1.3
         shape[g] = (extent / size[g]).astype(np.int64) + 1
-    offset = np.concatenate([[0], np.cumsum(shape.prod(1))])
-    cloud = _sorted_by_box(x, radius, level, lower, size, shape, offset)
+    grids = Grids(lower, size, shape, np.concatenate([[0], np.cumsum(shape.prod(1))]))
+    cloud = Cloud(*_sorted_by_box(x, radius, level, grids))
     capacity = max(6 * len(x), expected + len(x)) + 64
     first, second = np.empty(capacity, np.uint32), np.empty(capacity, np.uint32)
-    number = _search(*cloud, owned, lower, size, shape, offset, first, second)
+    number = _search(cloud, grids, owned, first, second)
     if number + len(x) > capacity:
         first, second = (np.empty(number + len(x), np.uint32) for _ in range(2))
-        _search(*cloud, owned, lower, size, shape, offset, first, second)
+        _search(cloud, grids, owned, first, second)
     return _by_first(first[:number], second[:number], owned)
 
 
@@ -217,50 +240,3 @@ def gaps(x, radius, room, first, second):
         dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
         gap[k] = (np.sqrt(dx * dx + dy * dy + dz * dz) - radius[i] - radius[j]) / (room[i] + room[j])
     return gap
-
-
-@njit
-def collect_springs(first, second, partner_id, spring, stamp, step, mirror, owned, ids):
-    """Springs of the contacts of this step: (particle, partner's id, spring), for both partners where ``mirror`` is set."""
-    number, width = 0, spring.shape[1]
-    for k in range(len(first)):
-        if stamp[k] == step:
-            number += 2 if mirror and second[k] < owned else 1
-    particle, partner = np.empty(number, np.uint32), np.empty(number, np.int64)
-    stretch, n = np.empty((number, width)), np.uint64(0)
-    for k in range(len(first)):
-        if stamp[k] == step:
-            particle[n], partner[n] = first[k], partner_id[second[k]]
-            for q in range(width):
-                stretch[n, q] = spring[k, q]
-            n += np.uint64(1)
-            if mirror and second[k] < owned:
-                particle[n], partner[n] = second[k], ids[first[k]]
-                for q in range(width):
-                    stretch[n, q] = -spring[k, q]
-                stretch[n, 3] = spring[k, 3]  # the normal velocity is the same from both sides
-                n += np.uint64(1)
-    return particle, partner, stretch
-
-
-@njit
-def restore_springs(first, second, partner_id, owned, particle, partner, stretch, step, spring, stamp):
-    """Copy collected springs to the contacts of a new list, and stamp these as of this step and the others as older."""
-    one, width = np.uint32(1), spring.shape[1]
-    start, order = np.zeros(owned + 1, np.uint32), np.empty(len(particle), np.uint32)
-    for k in range(len(particle)):
-        start[particle[k] + one] += one
-    for i in range(owned):
-        start[i + 1] += start[i]
-    at = start.copy()
-    for k in range(len(particle)):
-        n = at[particle[k]]
-        order[n], at[particle[k]] = k, n + one
-    for k in range(len(first)):
-        i, wanted = first[k], partner_id[second[k]]
-        stamp[k] = -2
-        for s in range(start[i], start[i + one]):
-            if partner[order[s]] == wanted:
-                for q in range(width):
-                    spring[k, q] = stretch[order[s], q]
-                stamp[k] = step

@@ -1,8 +1,7 @@
 """Forces of touching pairs: gather a block of contacts, apply the law, scatter forces and torques.
 
-Particles have rows of eight numbers: ``state`` holds radius, velocity, angular velocity and inverse mass over radius;
-``force`` holds the force in 0 to 2 and the torque in 4 to 6 (3 and 7 collect what is of no use). Contacts are treated four
-at a time; the last four of a block are filled up with copies of the last contact, whose forces are zeroed.
+Particles have rows of eight numbers, see :class:`fe_el.particles.contacts.records.Rows`. Contacts are treated four at a
+time; the last four of a block are filled up with copies of the last contact, whose forces are zeroed.
 """
 import numpy as np
 
@@ -16,9 +15,10 @@ from fe_el.compiled.rows_of_four import (
     scaled_to_block,
     torque_from_block,
 )
-from fe_el.particles.contacts.law_kernels import BLOCK, FAST, apply_law, uniform
+from fe_el.particles.contacts import blocks as row
+from fe_el.particles.contacts.blocks import BLOCK
+from fe_el.particles.contacts.law_kernels import FAST, apply_law, uniform
 
-B = BLOCK
 MANY = 60000  # particles whose rows do not fit into the near caches
 
 
@@ -29,8 +29,9 @@ def four_of(array, k):
 
 
 @njit(fastmath=FAST)
-def gather(b, m, at, first, second, state, spring, stamp, step):
+def gather(b, m, at, pairs, state, step):
     """Fill the rows of a block of m contacts (a multiple of four), the pairs ``at`` of the list."""
+    first, second, spring, stamp = pairs.first, pairs.second, pairs.spring, pairs.stamp
     old, width = step - 1, spring.shape[1]
     for n in range(0, m, 4):
         k = at[n], at[n + 1], at[n + 2], at[n + 3]
@@ -38,47 +39,50 @@ def gather(b, m, at, first, second, state, spring, stamp, step):
         keep = (1.0 if last[0] == old else 0.0, 1.0 if last[1] == old else 0.0, 1.0 if last[2] == old else 0.0,
                 1.0 if last[3] == old else 0.0)
         stamp[k[0]] = stamp[k[1]] = stamp[k[2]] = stamp[k[3]] = step
-        difference_to_block(b, n + 5 * B, state, i, j)  # radius and velocity: rows 5 to 8
-        rolled_sum_to_block(b, n + 9 * B, state, i, j)  # r w and inverse mass: rows 9 to 12
-        scaled_to_block(b, n + 13 * B, spring, width, k, keep)  # spring and normal velocity: rows 13 to 16
-        b[n + 34 * B], b[n + 1 + 34 * B] = 0.5 * keep[0], 0.5 * keep[1]
-        b[n + 2 + 34 * B], b[n + 3 + 34 * B] = 0.5 * keep[2], 0.5 * keep[3]
+        difference_to_block(b, n + row.RADII, state, i, j)  # and the velocity, in the next rows
+        rolled_sum_to_block(b, n + row.SPIN_X, state, i, j)  # and the inverse mass
+        scaled_to_block(b, n + row.SPRING_X, spring, width, k, keep)  # and the last normal velocity
+        b[n + row.CARRY], b[n + 1 + row.CARRY] = 0.5 * keep[0], 0.5 * keep[1]
+        b[n + 2 + row.CARRY], b[n + 3 + row.CARRY] = 0.5 * keep[2], 0.5 * keep[3]
 
 
 @njit(fastmath=FAST)
-def gather_rolling(b, m, at, first, second, state, spring):
-    """Difference of the rotations and rolling springs of contacts whose rows 13 to 16 are filled."""
+def gather_rolling(b, m, at, pairs, state):
+    """Difference of the rotations and rolling springs of contacts that are gathered."""
+    first, second, spring = pairs.first, pairs.second, pairs.spring
     for n in range(m):
         k = at[n]
-        i, j, keep = first[k], second[k], 2.0 * b[n + 34 * B]
+        i, j, keep = first[k], second[k], 2.0 * b[n + row.CARRY]
         for q in range(3):
-            b[n + (23 + q) * B] = state[i, 4 + q] - state[j, 4 + q]
-            b[n + (26 + q) * B] = keep * spring[k, 4 + q]
+            b[n + row.TURN_X + q * BLOCK] = state[i, 4 + q] - state[j, 4 + q]
+            b[n + row.ROLLING_X + q * BLOCK] = keep * spring[k, 4 + q]
 
 
 @njit(fastmath=FAST)
-def gather_material(b, m, at, first, second, material, numbers):
-    """Rows of the material table, where pairs differ in it; rows 22 to 24 are overwritten."""
+def gather_material(b, m, at, pairs, material, numbers):
+    """Rows of the material table, where pairs differ in it; those from the reduced radius to TURN_Y are overwritten."""
+    first, second = pairs.first, pairs.second
     table, width = numbers.table, np.uint64(numbers.table.shape[1])
     flat, one = table.reshape(table.size), (1.0, 1.0, 1.0, 1.0)
     rest = flat[4:]
     for n in range(0, m, 4):
         k = at[n], at[n + 1], at[n + 2], at[n + 3]
         i, j = four_of(material, four_of(first, k)), four_of(material, four_of(second, k))
-        row = i[0] * width + j[0], i[1] * width + j[1], i[2] * width + j[2], i[3] * width + j[3]
-        scaled_to_block(b, n + 17 * B, flat, 8, row, one)
-        scaled_to_block(b, n + 21 * B, rest, 8, row, one)
+        entry = i[0] * width + j[0], i[1] * width + j[1], i[2] * width + j[2], i[3] * width + j[3]
+        scaled_to_block(b, n + row.STIFFNESS, flat, 8, entry, one)
+        scaled_to_block(b, n + row.DAMPING_RATIO, rest, 8, entry, one)
     if numbers.rolls > 0 or numbers.cohesive:
         for n in range(m):
             i, j = material[first[at[n]]], material[second[at[n]]]
-            b[n + 29 * B], b[n + 30 * B] = table[i, j, 5], table[i, j, 6]
+            b[n + row.ROLLING_FRICTION], b[n + row.ATTRACTION] = table[i, j, 5], table[i, j, 6]
 
 
 @njit(fastmath=FAST, error_model="numpy")
 def reduced_radius(b, m):
-    """Row 22 from the sum and the difference of the radii."""
+    """Reduced radius from the sum and the difference of the radii."""
     for n in range(m):
-        b[n + 22 * B] = 0.25 * (b[n + 4 * B] * b[n + 4 * B] - b[n + 5 * B] * b[n + 5 * B]) / b[n + 4 * B]
+        total, difference = b[n + row.REACH], b[n + row.RADII]
+        b[n + row.REDUCED_RADIUS] = 0.25 * (total * total - difference * difference) / total
 
 
 @njit(fastmath=FAST, error_model="numpy")
@@ -86,47 +90,51 @@ def deepest_overlap(b, m, deepest):
     """The larger of ``deepest`` and the overlaps over the smaller diameter, of contacts whose law has been applied."""
     deeper = False
     for n in range(m):
-        deeper |= b[n + 4 * B] > deepest * (b[n + 3 * B] + b[n + 4 * B] - abs(b[n + 5 * B]))
+        deeper |= b[n + row.OVERLAP] > deepest * (b[n + row.DISTANCE] + b[n + row.OVERLAP] - abs(b[n + row.RADII]))
     if deeper:
         for n in range(m):
-            deepest = max(deepest, b[n + 4 * B] / (b[n + 3 * B] + b[n + 4 * B] - abs(b[n + 5 * B])))
+            deepest = max(deepest, b[n + row.OVERLAP] / (b[n + row.DISTANCE] + b[n + row.OVERLAP] - abs(b[n + row.RADII])))
     return deepest
 
 
 @njit(fastmath=FAST)
-def scatter(b, m, at, first, second, state, force, spring):
+def scatter(b, m, at, pairs, state, force):
     """Give both particles of each contact of a block their force and torque, and the pair its springs."""
+    first, second, spring = pairs.first, pairs.second, pairs.spring
     width = spring.shape[1]
     for n in range(0, m, 4):
         k = at[n], at[n + 1], at[n + 2], at[n + 3]
         i, j = four_of(first, k), four_of(second, k)
-        force_from_block(b, n + 6 * B, force, i, j)
-        torque_from_block(b, n + 9 * B, force, state, i, j)
-        block_to_rows(b, n + 13 * B, spring, width, k)
+        force_from_block(b, n + row.FORCE_X, force, i, j)
+        torque_from_block(b, n + row.TORQUE_X, force, state, i, j)
+        block_to_rows(b, n + row.SPRING_X, spring, width, k)
 
 
 @njit(fastmath=FAST)
-def scatter_rolling(b, m, at, first, second, force, spring):
+def scatter_rolling(b, m, at, pairs, force):
     """Rolling torques and springs."""
+    first, second, spring = pairs.first, pairs.second, pairs.spring
     for n in range(m):
         k = at[n]
         i, j = first[k], second[k]
         for q in range(3):
-            spring[k, 4 + q] = b[n + (26 + q) * B]
-            force[i, 4 + q] += b[n + (23 + q) * B]
-            force[j, 4 + q] -= b[n + (23 + q) * B]
+            spring[k, 4 + q] = b[n + row.ROLLING_X + q * BLOCK]
+            force[i, 4 + q] += b[n + row.ROLLING_TORQUE_X + q * BLOCK]
+            force[j, 4 + q] -= b[n + row.ROLLING_TORQUE_X + q * BLOCK]
 
 
 @njit(fastmath=FAST)
-def next_block(b, at, x, radius, near, first, second, start):
-    """Distances of the touching pairs of ``near`` from its entry ``start`` on: (their number, where the block was full)."""
+def next_block(b, at, rows, listed, pairs, start):
+    """Distances of the ``listed`` pairs that touch, from entry ``start`` on: (their number, where the block was full)."""
+    x, radius, first, second = rows.x, rows.radius, pairs.first, pairs.second
     m, n = 0, start
-    while n < len(near) and m < B:
-        k = near[n]
+    while n < len(listed) and m < BLOCK:
+        k = listed[n]
         i, j = first[k], second[k]
         dx, dy, dz = x[i, 0] - x[j, 0], x[i, 1] - x[j, 1], x[i, 2] - x[j, 2]
         r2, reach = dx * dx + dy * dy + dz * dz, radius[i] + radius[j]
-        b[m], b[m + B], b[m + 2 * B], b[m + 3 * B], b[m + 4 * B] = dx, dy, dz, r2, reach
+        b[m + row.CENTRE_X], b[m + row.CENTRE_Y], b[m + row.CENTRE_Z] = dx, dy, dz
+        b[m + row.SQUARE], b[m + row.REACH] = r2, reach
         at[m] = k
         m += r2 < reach * reach
         n += 1
@@ -134,8 +142,9 @@ def next_block(b, at, x, radius, near, first, second, start):
 
 
 @njit
-def fetch_rows(m, at, second, state, force, spring):
+def fetch_rows(m, at, pairs, state, force):
     """Ask for what a block of contacts will need, while the processor is still busy with what came before."""
+    second, spring = pairs.second, pairs.spring
     for n in range(m):
         k = at[n]
         fetch_row(state, 8, second[k])
@@ -149,47 +158,49 @@ def fill_up(b, m, at):
     full = (m + 3) // 4 * 4
     for n in range(m, full):
         at[n] = at[m - 1]
-        for row in range(5):
-            b[n + row * B] = b[m - 1 + row * B]
+        for k in range(5):  # the rows that are set before a block is gathered
+            b[n + k * BLOCK] = b[m - 1 + k * BLOCK]
     return full
 
 
 @njit(fastmath=FAST)
-def pair_forces(x, state, force, radius, material, near, first, second, spring, stamp, step, block, numbers, h, deepest):
-    """Add the contact forces of the pairs ``near`` of the list.
+def pair_forces(rows, listed, pairs, block, numbers, step, h, deepest):
+    """Add the contact forces of the ``listed`` pairs, with a block whose constant rows are filled.
 
     Returns the number of touching pairs, and the larger of ``deepest`` and their overlaps over the smaller diameter.
-    ``stamp`` holds the last step at which each pair touched: a spring counts only if that was the step before.
+    A spring counts only if the pair touched in the step before.
     """
-    touching, n, far = 0, 0, len(x) > MANY
-    b, at, _, _ = block  # with constant rows
-    while n < len(near):
-        m, n = next_block(b, at, x, radius, near, first, second, n)
+    state, force = rows.state, rows.force
+    touching, n, far = 0, 0, len(state) > MANY
+    b, at = block.rows, block.at
+    while n < len(listed):
+        m, n = next_block(b, at, rows, listed, pairs, n)
         if far:
-            fetch_rows(m, at, second, state, force, spring)
+            fetch_rows(m, at, pairs, state, force)
         full = fill_up(b, m, at)
-        gather(b, full, at, first, second, state, spring, stamp, step)
+        gather(b, full, at, pairs, state, step)
         if not uniform(numbers):
-            gather_material(b, full, at, first, second, material, numbers)
+            gather_material(b, full, at, pairs, rows.material, numbers)
         if numbers.rolls > 0:
-            gather_rolling(b, full, at, first, second, state, spring)
+            gather_rolling(b, full, at, pairs, state)
         if numbers.needs_radius:
             reduced_radius(b, full)
         apply_law(b, full, h, numbers)
         deepest = deepest_overlap(b, m, deepest)
         for c in range(m, full):
-            for row in range(6, 12):
-                b[c + row * B] = 0.0
-        scatter(b, full, at, first, second, state, force, spring)
+            for k in range(6):  # and torque
+                b[c + row.FORCE_X + k * BLOCK] = 0.0
+        scatter(b, full, at, pairs, state, force)
         if numbers.rolls > 0:
-            scatter_rolling(b, m, at, first, second, force, spring)
+            scatter_rolling(b, m, at, pairs, force)
         touching += m
     return touching, deepest
 
 
 @njit
-def touching_pairs(x, radius, first, second):
+def touching_pairs(rows, pairs):
     """Indices of the pairs that touch, for laws that are plain array functions."""
+    x, radius, first, second = rows.x, rows.radius, pairs.first, pairs.second
     at, m = np.empty(len(first), np.int64), 0
     for k in range(len(first)):
         i, j = first[k], second[k]

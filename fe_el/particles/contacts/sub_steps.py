@@ -5,11 +5,12 @@ from fe_el.compiled.borrowed import borrowed
 from fe_el.compiled.cache import njit
 from fe_el.parallel.messages import largest
 from fe_el.particles.contacts.pair_forces import pair_forces
+from fe_el.particles.contacts.records import Near, ShapeRows
+from fe_el.particles.contacts.velocity_verlet import drift_on
 from fe_el.particles.contacts.wall_shapes import move_walls, shape_forces
 from fe_el.particles.contacts.walls import facet_forces
 from fe_el.particles.contacts.waves import part_of, refresh_images, wave_length
 from fe_el.particles.ghosts import forward_state
-from fe_el.particles.motion import drift_on
 
 
 @njit
@@ -23,92 +24,106 @@ def prune(gap, reach, near):
 
 
 @njit
-def update_near(moved, gap, wall_gap, listed, wall_listed, reach, number, walls):
-    """Widen the lists of what may touch, particles having moved by up to ``sqrt(moved)`` of their room; returns the last
-    three.
-
-    ``gap`` and ``wall_gap`` are those of all pairs when they were found, over the room of both; of these the first
-    ``number`` and ``walls`` entries of ``listed`` and ``wall_listed`` may touch by now.
-    """
+def update_near(moved, candidates, near):
+    """Widen the lists of what may touch, particles having moved by up to ``sqrt(moved)`` of their room: ``near`` anew."""
     need = math.sqrt(moved)
-    if need >= reach:
-        reach = max(2 * need, 1 / 16)
-        reach = reach if reach < 1 else math.inf  # all
-        number, walls = prune(gap, reach, listed), prune(wall_gap, reach, wall_listed)
-    return reach, number, walls
+    if need < near.reach:
+        return near
+    reach = max(2 * need, 1 / 16)
+    reach = reach if reach < 1 else math.inf  # all
+    return Near(reach, prune(candidates.gap, reach, candidates.listed),
+                prune(candidates.wall_gap, reach, candidates.wall_listed))
 
 
 @njit
-def wall_forces(particles, listed, facets, shapes, walls, step, block, numbers, h):
+def near_numbers(moved, candidates, near):
+    """The same for callers that are not compiled, to whom numba 0.56 can give numbers, but no record."""
+    near = update_near(moved, candidates, near)
+    return near.reach, near.pairs, near.facets
+
+
+@njit
+def wall_forces(rows, listed, facets, shapes, walls, block, numbers, step, h):
     """Forces of facets, planes and cylinders: (contacts, particle that came onto or behind a wall or -1)."""
     touching, behind = 0, -1
     if len(listed):
-        n = facet_forces(*particles, listed, *facets[:4], step, *facets[4:], *walls, block, numbers, h)
+        n = facet_forces(rows, listed, facets, walls, block, numbers, step, h)
         touching, behind = max(n, 0), max(-1 - n, behind)
-    if len(shapes[0]):
-        n = shape_forces(*particles, *shapes[:4], step, *shapes[4:], *walls, block, numbers, h)
+    if len(shapes.particle):
+        n = shape_forces(rows, shapes, walls, block, numbers, step, h)
         touching, behind = touching + max(n, 0), max(-1 - n, behind)
     return touching, behind
 
 
 @njit
-def all_forces(particles, pairs, found, near, facets, shapes, walls, moved, step, block, laws, h, deepest):
+def all_forces(assembly, near, moved, step, h, deepest):
     """Forces of walls and pairs with built-in laws, when particles have moved by up to ``sqrt(moved)`` of their room.
 
     Returns:
-        touching pairs and walls, a particle behind a wall or -1, largest overlap over diameter so far, and ``near`` anew.
+        touching pairs and walls, a particle behind a wall or -1, largest overlap over diameter so far, and the numbers of
+        ``near`` anew.
     """
-    x, state, force, radius, _, material = particles
-    near = update_near(moved, *found, *near)
-    listed, wall_listed = found[2][:near[1]], found[3][:near[2]]
-    touching_walls, behind = wall_forces(particles, wall_listed, facets, shapes, walls, step, block[1], laws[1], h)
-    touching, deepest = pair_forces(x, state, force, radius, material, listed, *pairs, step, block[0], laws[0], h, deepest)
-    return touching + touching_walls, behind, max(deepest, walls[3][0]), near
+    a, candidates = assembly, assembly.candidates
+    near = update_near(moved, candidates, near)
+    touching_walls, behind = wall_forces(a.rows, candidates.wall_listed[:near.facets], a.facets, a.shapes, a.walls,
+                                         a.wall_block, a.wall_law, step, h)
+    touching, deepest = pair_forces(a.rows, candidates.listed[:near.pairs], a.pairs, a.pair_block, a.pair_law, step, h,
+                                    deepest)
+    return touching + touching_walls, behind, max(deepest, a.walls.deepest[0]), near.reach, near.pairs, near.facets
 
 
 @njit
-def wave(number, ahead, h, particles, drift, ghosts, waves, pairs, found, near, facets, shapes, walls, step, block, laws,
-         deepest):
+def shapes_of(shapes, begin, end):
+    """Part of the entries of planes and cylinders."""
+    return ShapeRows(shapes.particle[begin:end], shapes.wall[begin:end], shapes.spring[begin:end], shapes.stamp[begin:end],
+                     shapes.kind, shapes.shape)
+
+
+@njit
+def wave(number, ahead, h, assembly, ghosts, tiles, near, step, deepest):
     """``number`` sub-steps that follow each other through the tiles; displacements are meant to stay below ``ahead``,
     a share of the particles' room.
 
     Returns:
         largest squares of displacement, velocity and its change, over the room, and what :func:`all_forces` returns.
     """
-    x, state, force, radius, inverse_mass, material = particles
-    starts, pair_at, wall_at, shape_at, image_at, images, strips, apart, apart_strips, _, width = waves
-    owned, slabs, touching, behind = len(drift[2]), (len(starts) - 1) // strips, 0, -1
-    blocks, rows = (strips + (number - 1) * (apart_strips + 1) + width - 1) // width, slabs + (number - 1) * (apart + 1)
+    rows, drift, pairs, candidates, walls = (assembly.rows, assembly.drift, assembly.pairs, assembly.candidates,
+                                             assembly.walls)
+    starts, strips, width, apart, apart_strips = tiles.starts, tiles.strips, tiles.width, tiles.apart, tiles.apart_strips
+    owned, slabs, touching, behind = len(drift.x0), (len(starts) - 1) // strips, 0, -1
+    blocks = (strips + (number - 1) * (apart_strips + 1) + width - 1) // width
+    lines = slabs + (number - 1) * (apart + 1)
     moved, speed, change, reach = 0.0, 0.0, 0.0, -1.0
-    near = update_near(ahead * ahead, *found, *near)
-    for row in range(blocks * rows):
-        block_end = (row // rows + 1) * width
+    near = update_near(ahead * ahead, candidates, near)
+    for line in range(blocks * lines):
+        block_end = (line // lines + 1) * width
         for s in range(number):
-            slab, back = row % rows - s * (apart + 1), s * (apart_strips + 1)
+            slab, back = line % lines - s * (apart + 1), s * (apart_strips + 1)
             low, high = max(block_end - width - back, 0), min(block_end - back, strips)
             if slab < 0 or slab >= slabs or low >= high:
                 continue
             c, e = slab * strips + low, slab * strips + high
-            d2, v2, c2 = drift_on(x, state, force, inverse_mass, drift, 1.0, h, starts[c], starts[e])
+            d2, v2, c2 = drift_on(rows, drift, 1.0, h, starts[c], starts[e])
             moved, speed, change = max(moved, d2), max(speed, v2), max(change, c2)
             moved = math.inf if math.isnan(d2) else moved
-            refresh_images(images[image_at[c]:image_at[e]], ghosts[3], ghosts[5], owned, x, state, force)
-            near = update_near(moved, *found, *near)
-            if near[0] != reach:  # the lists were made anew
-                reach, a, b = near[0], part_of(found[2], near[1], pair_at), part_of(found[3], near[2], wall_at)
-            p, q = shape_at[c], shape_at[e]
-            own = shapes[0][p:q], shapes[1][p:q], shapes[2][p:q], shapes[3][p:q], shapes[4], shapes[5]
-            n, fell = wall_forces(particles, found[3][b[c]:b[e]], facets, own, walls, step + s, block[1], laws[1], h)
-            m, deepest = pair_forces(x, state, force, radius, material, found[2][a[c]:a[e]], *pairs, step + s, block[0],
-                                     laws[0], h,
-                                     deepest)
+            refresh_images(tiles.images[tiles.image_starts[c]:tiles.image_starts[e]], ghosts.images, ghosts.shift, owned,
+                           rows)
+            near = update_near(moved, candidates, near)
+            if near.reach != reach:  # the lists were made anew
+                reach = near.reach
+                at_pair = part_of(candidates.listed, near.pairs, tiles.pairs)
+                at_facet = part_of(candidates.wall_listed, near.facets, tiles.facets)
+            n, fell = wall_forces(rows, candidates.wall_listed[at_facet[c]:at_facet[e]], assembly.facets,
+                                  shapes_of(assembly.shapes, tiles.shapes[c], tiles.shapes[e]), walls, assembly.wall_block,
+                                  assembly.wall_law, step + s, h)
+            m, deepest = pair_forces(rows, candidates.listed[at_pair[c]:at_pair[e]], pairs, assembly.pair_block,
+                                     assembly.pair_law, step + s, h, deepest)
             behind, touching = max(fell, behind), touching + (n + m if s == number - 1 else 0)
-    return moved, speed, change, touching, behind, max(deepest, walls[3][0]), near
+    return moved, speed, change, touching, behind, max(deepest, walls.deepest[0]), near.reach, near.pairs, near.facets
 
 
 @njit
-def sub_steps(most, h, age, wall_rate, particles, drift, ghosts, ranks, waves, pairs, found, near, facets, shapes, walls,
-              step, block, laws, deepest):
+def sub_steps(most, h, age, wall_rate, assembly, ghosts, tiles, near, step, deepest):
     """Sub-steps with built-in laws, at most ``most``, until the lists are out of date; the first kick is half a step.
     Collective.
 
@@ -118,27 +133,25 @@ def sub_steps(most, h, age, wall_rate, particles, drift, ghosts, ranks, waves, p
         sub-steps made, whether the lists are out of date, and what :func:`all_forces` returns, of any sub-step for a
         particle behind a wall.
     """
-    particles, drift, ghosts, ranks, waves = borrowed((particles, drift, ghosts, ranks, waves))
-    pairs, found, facets, shapes, walls, block, laws = borrowed((pairs, found, facets, shapes, walls, block, laws))
-    x, state, force, _, inverse_mass, _ = particles
-    owned, made, touching, behind, stale, number, ahead, part = len(drift[2]), 0, 0, -1, False, 1, 0.0, 0.5
+    assembly, ghosts, tiles = borrowed(assembly), borrowed(ghosts), borrowed(tiles)
+    rows, drift, shapes = assembly.rows, assembly.drift, assembly.shapes
+    owned, made, touching, behind, stale, number, ahead, part = len(drift.x0), 0, 0, -1, False, 1, 0.0, 0.5
     while made < most and not stale:
         if number == 1:
-            moved, speed, change = drift_on(x, state, force, inverse_mass, drift, part, h, 0, owned)
-            forward_state(ghosts, owned, x, state)
-            force[owned:] = 0.0
-            move_walls(shapes[4], shapes[5], walls[0], h)
-            moved = largest(ranks, moved)
-            touching, back, deepest, near = all_forces(particles, pairs, found, near, facets, shapes, walls, moved,
-                                                       step + made + 1, block, laws, h, deepest)
+            moved, speed, change = drift_on(rows, drift, part, h, 0, owned)
+            forward_state(ghosts, owned, rows.x, rows.state)
+            rows.force[owned:] = 0.0
+            move_walls(shapes.kind, shapes.shape, assembly.walls.motion, h)
+            moved = largest(ghosts.ranks, moved)
+            touching, back, deepest, reach, pairs, facets = all_forces(assembly, near, moved, step + made + 1, h, deepest)
         else:
-            moved, speed, change, touching, back, deepest, near = wave(
-                number, ahead, h, particles, drift, ghosts, waves, pairs, found, near, facets, shapes, walls,
-                step + made + 1, block, laws, deepest)
+            moved, speed, change, touching, back, deepest, reach, pairs, facets = wave(
+                number, ahead, h, assembly, ghosts, tiles, near, step + made + 1, deepest)
+        near = Near(reach, pairs, facets)
         behind, made, part = max(behind, back), made + number, 1.0
         room = 1 - math.sqrt(moved)
         stale = not room >= 0 or wall_rate * h * (age + made) > 1
-        if len(waves[0]) > 1 and wall_rate == 0.0 and not stale:
-            number, ahead = wave_length(min(most - made, waves[9]), room, h, math.sqrt(speed), math.sqrt(change))
+        if len(tiles.starts) > 1 and wall_rate == 0.0 and not stale:
+            number, ahead = wave_length(min(most - made, tiles.at_once), room, h, math.sqrt(speed), math.sqrt(change))
             ahead += math.sqrt(moved)
-    return made, stale, touching, behind, deepest, near
+    return made, stale, touching, behind, deepest, near.reach, near.pairs, near.facets

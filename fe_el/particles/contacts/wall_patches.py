@@ -78,13 +78,14 @@ def _weight(work, i, j, ratio):
 
 
 @njit
-def join_contacts(near, slot, facet, vertex, corner, frame, patch, centre, radius, arm, weight, contact, hertz, work, at):
-    """Join the contacts of one particle within each patch.
+def join_contacts(near, scratch, facet, facets, centre, radius, hertz):
+    """Join the contacts of one particle within each patch; ``facet`` is that of each entry of the list.
 
     Of the ``near`` facets those that are no longer a ``contact`` are unmarked; the others get the joined ``arm`` and the
     factor of their force in ``work[:, 12]``.
     """
-    m, several = 0, False
+    arm, slot, contact, work, at = scratch.arm, scratch.slot, scratch.contact, scratch.work, scratch.order
+    patch, m, several = facets.patch, 0, False
     for n in range(near):
         work[n, 12], work[n, 11] = 1.0, patch[facet[slot[n]], 0]
         if contact[n]:
@@ -96,7 +97,7 @@ def join_contacts(near, slot, facet, vertex, corner, frame, patch, centre, radiu
     real = m
     for n in range(near):
         if not contact[n] and patch[facet[slot[n]], 1]:
-            m = _add_plane(n, near, m, slot, facet, vertex, corner, frame, centre, radius, weight, work, at)
+            m = _add_plane(n, near, m, scratch, facet, facets, centre, radius)
     if m == real and not several:
         return
     _energy_gradient(m, at, hertz, work)
@@ -119,11 +120,13 @@ def _entry(work, n, dx, dy, dz, radius):
 
 
 @njit
-def _add_plane(n, near, m, slot, facet, vertex, corner, frame, centre, radius, weight, work, at):
+def _add_plane(n, near, m, scratch, facet, facets, centre, radius):
     """Add the plane of a facet beyond a concave seam, which is about to become a contact; returns the number of entries.
 
     Without it the overlap of that facet would come in at once when the particle's nearest point on it leaves the seam.
     """
+    slot, weight, work, at = scratch.slot, scratch.weight, scratch.work, scratch.order
+    corner, vertex, frame = facets.corner, facets.vertex, facets.frame
     f, deepest, first = facet[slot[n]], 0.0, -1
     nx, ny, nz = frame[f, 9], frame[f, 10], frame[f, 11]
     d = nx * (centre[0] - frame[f, 0]) + ny * (centre[1] - frame[f, 1]) + nz * (centre[2] - frame[f, 2])
@@ -138,7 +141,7 @@ def _add_plane(n, near, m, slot, facet, vertex, corner, frame, centre, radius, w
         return m
     for o in range(near):
         other = facet[slot[o]]
-        if o != n and holds_feature(other, f, vertex, weight[n], corner.shape[1]):
+        if o != n and holds_feature(other, f, vertex, weight[n]):
             side = 0.0
             for b in range(corner.shape[1]):
                 side += (nx * (corner[other, b, 0] - frame[f, 0]) + ny * (corner[other, b, 1] - frame[f, 1])
@@ -206,9 +209,9 @@ def _leaders(m, at, contact, work):
 
 
 @njit
-def holds_feature(other, own, vertex, weight, sides):
+def holds_feature(other, own, vertex, weight):
     """Whether facet ``other`` contains the edge or vertex of facet ``own`` that carries the weights; false for a face."""
-    positive = 0
+    positive, sides = 0, vertex.shape[1]
     for a in range(sides):
         if weight[a] > 1e-12:
             positive += 1

@@ -3,7 +3,8 @@ import numpy as np
 
 from fe_el.checks import finite_vector, positive_number, whole_number
 from fe_el.compiled.cache import njit
-from fe_el.particles.contacts.law_kernels import BLOCK, FAST
+from fe_el.particles.contacts.blocks import BLOCK
+from fe_el.particles.contacts.law_kernels import FAST
 from fe_el.particles.contacts.wall_blocks import add_contact, finish_block
 
 PLANE, CYLINDER, FACETS = 0, 1, 2
@@ -132,9 +133,10 @@ def shape_list(x, reach, owned, kind, shape, motion):
 
 
 @njit(fastmath=FAST)
-def shape_forces(x, state, force, radius, inverse_mass, material, particle, wall, spring, stamp, step, kind, shape,
-                 motion, wall_material, wall_force, deepest, block, numbers, h):
+def shape_forces(rows, shapes, walls, block, numbers, step, h):
     """Add the contact forces of planes and cylinders; returns the number of contacts, or -1 - i where i is behind one."""
+    x, radius, particle, wall = rows.x, rows.radius, shapes.particle, shapes.wall
+    kind, shape, motion = shapes.kind, shapes.shape, walls.motion
     touching, m, bad, total = 0, 0, 0, len(particle)
     for k in range(total):
         i, n = particle[k], wall[k]
@@ -145,8 +147,7 @@ def shape_forces(x, state, force, radius, inverse_mass, material, particle, wall
             add_contact(block, m, i, k, n, x[i, 0] - px, x[i, 1] - py, x[i, 2] - pz, radius[i], 1.0)
             m += 1
         if m == BLOCK or k == total - 1:
-            finish_block(block, m, x, state, force, material, spring, stamp, step, motion, wall_material, wall_force,
-                         deepest, numbers, h)
+            finish_block(block, m, rows, shapes.spring, shapes.stamp, walls, numbers, step, h)
             touching, m = touching + m, 0
     return bad if bad < 0 else touching
 

@@ -10,11 +10,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fe_el.compiled.cache import njit
-from fe_el.particles.contacts.law_kernels import BLOCK, FAST
+from fe_el.particles.contacts.blocks import BLOCK
+from fe_el.particles.contacts.law_kernels import FAST
+from fe_el.particles.contacts.records import FacetScratch
 from fe_el.particles.contacts.wall_blocks import add_contact, finish_block
 from fe_el.particles.contacts.wall_patches import holds_feature, join_contacts, patch_scratch
-
-B = BLOCK
 
 
 def wall_candidates(cells, facet_corner, reach):
@@ -158,23 +158,23 @@ def wall_gaps(x, radius, room, particle, facet, corner):
 
 
 def scratch(particle):
-    """Memory for the facets near one particle: vectors, weights, entries of the list, and whether each is a contact."""
+    """Memory for the facets near one particle, of those with the given ones of a list."""
     most = int(np.bincount(particle).max(initial=1))
-    return (np.empty((most, 3)), np.empty((most, 3)), np.empty(most, np.uint64), np.empty(most, np.bool_),
-            *patch_scratch(most))
+    return FacetScratch(np.empty((most, 3)), np.empty((most, 3)), np.empty(most, np.uint64), np.empty(most, np.bool_),
+                        *patch_scratch(most))
 
 
 @njit(fastmath=FAST)
-def facet_forces(x, state, force, radius, inverse_mass, material, listed, particle, facet, spring, stamp, step, corner,
-                 vertex,
-                 facet_wall, frame, patch, scratch, motion, wall_material, wall_force, deepest, block, numbers, h):
+def facet_forces(rows, listed, near_facets, walls, block, numbers, step, h):
     """Add the contact forces of the ``listed`` pairs with wall facets.
 
     Returns the number of contacts, or -1 - i where the centre of i is on a wall.
     """
-    touching, sides, m, entry, total, bad = 0, corner.shape[1], 0, 0, len(listed), 0
-    arm, weight, slot, contact, work, order = scratch
-    rest = x, state, force, material, spring, stamp, step, motion, wall_material, wall_force, deepest, numbers, h
+    x, radius, particle, facet = rows.x, rows.radius, near_facets.particle, near_facets.facet
+    spring, stamp, facets, scratch = near_facets.spring, near_facets.stamp, near_facets.facets, near_facets.scratch
+    corner, frame, patch, facet_wall = facets.corner, facets.frame, facets.patch, facets.wall
+    arm, weight, slot, contact, work = scratch.arm, scratch.weight, scratch.slot, scratch.contact, scratch.work
+    touching, m, entry, total, bad = 0, 0, 0, len(listed), 0
     while entry < total:
         i, near = particle[listed[entry]], np.uint64(0)
         px, py, pz, r = x[i, 0], x[i, 1], x[i, 2], radius[i]
@@ -193,20 +193,19 @@ def facet_forces(x, state, force, radius, inverse_mass, material, listed, partic
         if near > 1:
             for n in range(near):
                 joined |= patch[facet[slot[n]], 1] > 0
-            _contacts_of(near, slot, facet, vertex, weight, arm, 1e-6 * r, sides, contact)
+            _contacts_of(near, scratch, facet, facets.vertex, 1e-6 * r)
             if joined:
-                join_contacts(near, slot, facet, vertex, corner, frame, patch, x[i], r, arm, weight, contact,
-                              numbers.kind == 1, work, order)
+                join_contacts(near, scratch, facet, facets, x[i], r, numbers.kind == 1)
             _hand_over(near, slot, arm, contact, spring, stamp, step)
         for n in range(near):
             if contact[n]:
-                if m == B:
-                    finish_block(block, m, *rest)
+                if m == BLOCK:
+                    finish_block(block, m, rows, spring, stamp, walls, numbers, step, h)
                     touching, m = touching + m, 0
                 add_contact(block, m, i, slot[n], facet_wall[facet[slot[n]]], arm[n, 0], arm[n, 1], arm[n, 2], r,
                             work[n, 12] if joined else 1.0)
                 m += 1
-    finish_block(block, m, *rest)
+    finish_block(block, m, rows, spring, stamp, walls, numbers, step, h)
     return bad if bad < 0 else touching + m
 
 
@@ -227,8 +226,9 @@ def _hand_over(near, slot, arm, contact, spring, stamp, step):
 
 
 @njit
-def _contacts_of(near, slot, facet, vertex, weight, arm, tolerance, sides, contact):
+def _contacts_of(near, scratch, facet, vertex, tolerance):
     """Set which nearest points are local minima of the distance to the surface, and the first of their kind."""
+    arm, weight, slot, contact = scratch.arm, scratch.weight, scratch.slot, scratch.contact
     for m in range(near):
         contact[m] = True
         for o in range(near):
@@ -238,4 +238,4 @@ def _contacts_of(near, slot, facet, vertex, weight, arm, tolerance, sides, conta
             if d2 < tolerance * tolerance:
                 contact[m] &= o > m
             elif contact[m]:
-                contact[m] = not holds_feature(facet[slot[o]], facet[slot[m]], vertex, weight[m], sides)
+                contact[m] = not holds_feature(facet[slot[o]], facet[slot[m]], vertex, weight[m])

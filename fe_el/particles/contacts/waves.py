@@ -10,6 +10,7 @@ import numpy as np
 
 from fe_el.compiled.cache import njit
 from fe_el.particles.contacts import neighbours
+from fe_el.particles.contacts.records import Tiles
 
 FROM = 15000  # particles
 SLAB = 500  # particles at least
@@ -17,7 +18,7 @@ FINE = 2  # slabs in the reach of a contact
 STRIPS = 2  # the same of strips
 AT_ONCE = 8  # sub-steps at most
 IN_CACHE = 32000  # particles, with their contacts
-NONE = (np.zeros(1, np.int64),) * 6 + (1, 0, 0, 1, 1)
+NONE = Tiles(*(np.zeros(1, np.int64),) * 6, strips=1, apart=0, apart_strips=0, at_once=1, width=1)
 
 
 def tiles(position, period, reach):
@@ -102,10 +103,11 @@ def wave_length(most, room, step, speed, change):
 
 
 @njit
-def refresh_images(rows, source, shift, owned, x, state, force):
+def refresh_images(which, source, shift, owned, rows):
     """Set some of the periodic images to their particles."""
-    for k in range(len(rows)):
-        n = rows[k]
+    x, state, force = rows.x, rows.state, rows.force
+    for k in range(len(which)):
+        n = which[k]
         i, g = source[n], owned + n
         for q in range(3):
             x[g, q] = x[i, q] + shift[n, q]
