@@ -27,11 +27,12 @@ def arguments():
     p.add_argument("--dt-star", type=float, default=1.0, help="time step in fluid relaxation times of eq. 10 (Stokes)")
     p.add_argument("--smoothing-length", type=float, help="in particle diameters; absent: no smoothing")
     p.add_argument("--drag", default="beetstra", help="name of the drag law")
-    p.add_argument("--mapping", default="satellite_points", help="name of the mapping: " +
+    p.add_argument("--mapping", default="overlap_volume", help="name of the mapping: " +
                    ", ".join(sorted(fe_el.mapping.MAPPINGS)))
     p.add_argument("--fluid-velocity", default="cell", help="at the particle: cell or linear")
     p.add_argument("--fluid-steps", type=int, default=1, help="steps of the fluid in one")
-    p.add_argument("--positions", default="start", help="of the particles that are mapped: start or middle of the step")
+    p.add_argument("--positions", choices=("start", "middle"),
+                   help="of the particles that are mapped, in the step; absent: what suits the fluid")
     p.add_argument("--correct-momentum", action="store_true",
                    help="take the drift of total momentum back by a force, as the paper does")
     p.add_argument("--contacts", action="store_true", help="resolve contacts")
@@ -47,7 +48,7 @@ class Suspension:
     """Fluid, particles and coupling in a periodic box that carries its weight by a mean pressure gradient."""
 
     def __init__(self, diameter, particle_density, solid_fraction, box, cells, coupling, drag, mapping, fluid_velocity,
-                 smoothing_length, coarse_graining, contacts, seed, fluid_steps=1, positions="start", tolerance=1e-10):
+                 smoothing_length, coarse_graining, contacts, seed, fluid_steps=1, positions=None, tolerance=1e-10):
         lengths = np.array(box, float) * diameter
         self.mesh, _ = fe_el.periodic_box(lengths, cells)
         size = coarse_graining * diameter
@@ -132,8 +133,8 @@ def mean_and_error(values, blocks=8):
 
 
 def main(diameter=150e-6, particle_density=1500.0, solid_fraction=0.1, box=(48.0, 48.0, 96.0), cells=(6, 6, 12),
-         coupling="conservative", dt_star=1.0, smoothing_length=None, drag="beetstra", mapping="satellite_points",
-         fluid_velocity="cell", fluid_steps=1, positions="start", correct_momentum=False, contacts=False,
+         coupling="conservative", dt_star=1.0, smoothing_length=None, drag="beetstra", mapping="overlap_volume",
+         fluid_velocity="cell", fluid_steps=1, positions=None, correct_momentum=False, contacts=False,
          coarse_graining=1.0, end_time=0.5, seed=1, output_every=0.05,
          output="out/sedimenting_suspension", progress=True):
     """Run the suspension and return the summary."""
