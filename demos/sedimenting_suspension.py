@@ -77,7 +77,7 @@ class Suspension:
         self.contacts, self.count = None, count
         self.weight = count * np.pi / 6 * size ** 3 * particle_density * GRAVITY
         if contacts:
-            mass = np.pi / 6 * size ** 3 * particle_density
+            mass = np.pi / 6 * diameter ** 3 * particle_density
             stiffness = mass / 2 * (self.slip / (0.02 * size)) ** 2  # overlaps of about 2 % at the slip velocity
             self.contacts = fe_el.Contacts(self.beads, fe_el.LinearSpringDashpot(stiffness, restitution=0.9, friction=0.1),
                                            steps_per_contact=25)

@@ -39,7 +39,7 @@ class SaffmanLift:
         re, root = fluid.density * slip * d / fluid.viscosity, np.sqrt(0.5 * d * turn / np.maximum(slip, TINY))
         mei = np.where(re <= 40, np.exp(-0.1 * re) - 0.3314 * root * np.expm1(-0.1 * re), 0.0524 * root * np.sqrt(re))
         strength = 1.615 * d ** 2 * np.sqrt(fluid.viscosity * fluid.density / np.maximum(turn, TINY)) * mei
-        return -(p.coarse_graining ** 3 * strength)[:, None] * _cross(fluid.vorticity, fluid.slip)
+        return -(p.number * strength)[:, None] * _cross(fluid.vorticity, fluid.slip)
 
 
 class MagnusLift:
@@ -59,7 +59,7 @@ class MagnusLift:
         viscosity = fluid.viscosity / fluid.density
         left = np.exp(-0.05684 * (turn * d ** 2 / viscosity) ** 0.4 * (slip * d / viscosity) ** 0.3)
         strength = np.pi / 8 * fluid.density * d ** 2 * (0.45 * slip * (1 - left) + d * turn * left)  # times C |s|
-        return (p.coarse_graining ** 3 * strength / np.maximum(turn, TINY))[:, None] * _cross(relative, fluid.slip)
+        return (p.number * strength / np.maximum(turn, TINY))[:, None] * _cross(relative, fluid.slip)
 
 
 class Torque:

@@ -100,7 +100,7 @@ class OwnVelocity:
         p = particles
         self.share, self.rest = np.empty(len(p)), np.empty(len(p))
         self.concentration, self.cell_volume, self.solid, self.slip = concentration, cell_volume, solid, slip
-        _leave_out(p.volume / p.coarse_graining ** 3, concentration, solid, slip, self.share, self.rest)
+        _leave_out(p.volume / p.number, concentration, solid, slip, self.share, self.rest)
         return self.rest
 
     def ahead(self, dt, particles, beta):

@@ -7,7 +7,7 @@ from fe_el.compiled.cache import njit
 from fe_el.particles.contacts.walls import facet_balls, nearest_point
 
 
-def check(particles, position, diameter, density, velocity, material, coarse_graining):
+def check(particles, position, diameter, density, velocity, material, coarse_graining, number):
     """Full arrays of the arguments of an insertion, after checking them."""
     if checks.numbers("positions", position).size == 0:
         raise ValueError("The particle set is empty; give at least one position.")
@@ -25,8 +25,9 @@ def check(particles, position, diameter, density, velocity, material, coarse_gra
     if kinds.shape not in ((), (n,)) or not np.isfinite(kinds).all() or (kinds < 0).any() or (kinds % 1).any():
         raise ValueError(f"The material is {material}; give the index of a material, 0 or more, or one for each particle.")
     density = particles.default_density if density is None else density
+    number = checks.per_particle("coarse graining", coarse_graining, n) ** 3 if number is None else number
     return (x, *(checks.per_particle(name, a, n) for name, a in (("diameter", diameter), ("density", density))), full,
-            np.broadcast_to(kinds.astype(np.int32), n), checks.per_particle("coarse graining", coarse_graining, n))
+            np.broadcast_to(kinds.astype(np.int32), n), checks.per_particle("number of particles in a parcel", number, n))
 
 
 def check_box(particles, lower, upper):

@@ -59,6 +59,19 @@ def free_flight(position, velocity, force, mass, gravity, rate, held, dt):
 
 
 @njit
+def primary_diameters(diameter, number):
+    """Diameters (particles,) of the particles in parcels: diameter over the cube root of ``number``."""
+    out, last, ratio = np.empty_like(diameter), 1.0, 1.0
+    for i in range(len(diameter)):
+        if number[i] != last:  # most have the number of the one before them, and roots take time
+            last = number[i]
+            ratio = last ** (1 / 3)
+            ratio -= (ratio * ratio * ratio - last) / (3 * ratio * ratio)  # exact where the root is a whole number
+        out[i] = diameter[i] / ratio
+    return out
+
+
+@njit
 def places_ahead(position, velocity, force, contact_force, inertia, gravity, rate, held, half, place):
     """Fill in the positions after the first half of a step, from velocity and acceleration of the last one; returns the
     longest way.

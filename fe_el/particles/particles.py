@@ -9,8 +9,7 @@ from fe_el.particles import insertion, location, motion
 from fe_el.particles.open_boundaries import OpenBoundaries
 
 FIELDS = {"position": (3,), "velocity": (3,), "angular_velocity": (3,), "diameter": (), "density": (), "force": (3,),
-          "contact_force": (3,), "contact_torque": (3,), "mean_contact_force": (3,), "coarse_graining": (),
-          "relaxation_rate": ()}
+          "contact_force": (3,), "contact_torque": (3,), "mean_contact_force": (3,), "number": (), "relaxation_rate": ()}
 
 INTEGERS = ("cell", "id", "material", "held")
 
@@ -22,8 +21,9 @@ class LostParticle(RuntimeError):
 class Particles:
     """Spheres with position [m], velocity [m/s], angular velocity [1/s], diameter [m] and density [kg/m^3].
 
-    A parcel stands for ``coarse_graining``^3 particles of ``diameter / coarse_graining``: it collides with its own diameter,
-    has the mass and volume of all, and the drag of each of them.
+    A parcel stands for ``number`` particles of ``primary_diameter``, whole or not, each parcel for its own: ``diameter`` is
+    that of the sphere of their volume, with which it collides and is mapped; it has their mass, the drag of each of them,
+    and contacts that last as long as theirs.
 
     Every array has one row per particle of this rank, in an order that may change when they are advanced; ``id`` is unique
     over all ranks and never changes. ``force`` [N] is added during :meth:`advance` (the coupling writes it).
@@ -72,9 +72,14 @@ class Particles:
         return np.pi / 6 * (self.diameter * self.diameter * self.diameter)  # a power costs five times as much
 
     @property
+    def coarse_graining(self):
+        """(particles,) diameter of each parcel over that of its particles: the cube root of ``number``."""
+        return self.diameter / self.primary_diameter
+
+    @property
     def primary_diameter(self):
-        """(particles,) diameter of the particles that each parcel stands for [m]: ``diameter`` over ``coarse_graining``."""
-        return self.diameter / self.coarse_graining
+        """(particles,) diameter of the particles that each parcel stands for [m]; of a single particle its own."""
+        return motion.primary_diameters(self.diameter, self.number)
 
     @property
     def mass(self):
@@ -105,13 +110,14 @@ class Particles:
     # -- insertion -------------------------------------------------------------------------------------------------
 
     def insert_at(self, position, diameter, density=None, velocity=0.0, material=0, coarse_graining=1.0, displacement=0.0,
-                  seed=0):
+                  seed=0, number=None):
         """Insert particles at positions (particles, 2 or 3) [m], given alike on every rank.
 
         Each is displaced at random by at most ``displacement`` [m] along each axis: equal beads on a lattice would fall as
         columns and stand as a cubic stack; a thousandth of the diameter is enough.
 
-        ``diameter`` is that of the sphere that collides; with ``coarse_graining`` above 1 it is a parcel's.
+        ``diameter`` is that of the sphere that collides; with ``coarse_graining`` above 1 it is a parcel's, which stands
+        for ``number`` particles; absent: ``coarse_graining``^3. Either is one, or one per particle.
         ``material`` is the index (one, or one per particle) into the table of the contact law.
 
         Raises:
@@ -121,15 +127,15 @@ class Particles:
         Note:
             Collective.
         """
-        x, diameter, density, velocity, material, coarse_graining = insertion.check(
-            self, position, diameter, density, velocity, material, coarse_graining)
+        x, diameter, density, velocity, material, number = insertion.check(
+            self, position, diameter, density, velocity, material, coarse_graining, number)
         x[:, :self.mesh.topology.dim] += insertion.displacements(len(x), self.mesh.topology.dim, displacement, seed)
         self.reach_halo(3.0 * diameter.max())
         cell = insertion.claim(self, x)
         mine = np.flatnonzero(cell >= 0)
         new = {name: np.zeros((len(mine), *shape)) for name, shape in FIELDS.items()}
         new["position"], new["velocity"], new["diameter"] = x[mine], velocity[mine], diameter[mine]
-        new["density"], new["coarse_graining"] = density[mine], coarse_graining[mine]
+        new["density"], new["number"] = density[mine], number[mine]
         for name in FIELDS:
             setattr(self, name, np.concatenate([getattr(self, name), new[name]]))
         self.cell = np.concatenate([self.cell, cell[mine]])
@@ -148,7 +154,7 @@ class Particles:
         ``without_overlap``: they overlap neither each other nor particles that are there already, and lie wholly inside the
         boundary of the mesh (planes and cylinders among the walls are not known here).
 
-        ``kind``: ``material`` and ``coarse_graining`` as in :meth:`insert_at`.
+        ``kind``: ``material``, ``coarse_graining`` and ``number`` as in :meth:`insert_at`.
 
         Raises:
             ValueError: if the box is not inside the mesh, or too small for particles without overlap.
@@ -414,8 +420,8 @@ class Particles:
                 message = (f"The array {name} of the particles is {type(a).__name__} of shape {np.shape(a)}; it must be a "
                            f"numpy array of float of shape {(n, *shape)}, one row per particle of this rank. To set all "
                            f"alike: particles.{name}[:] = ...")
-            elif name in ("diameter", "density", "position") and not np.isfinite(a).all() or \
-                    name in ("diameter", "density") and n and not a.min() > 0:
+            elif name in ("diameter", "density", "number", "position") and not np.isfinite(a).all() or \
+                    name in ("diameter", "density", "number") and n and not a.min() > 0:
                 good = np.isfinite(a).reshape(n, -1).all(1) & (a > 0 if a.ndim == 1 else True)
                 message = (f"The {name} of particle {self.id[~good][0]} is {a[~good][0].tolist()}; it must be finite"
                            f"{' and greater than zero' if a.ndim == 1 else ''}.")

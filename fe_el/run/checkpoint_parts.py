@@ -32,6 +32,8 @@ def set_particles(p, state):
     mine = np.flatnonzero(found)
     mine = mine[np.argsort(rows["id"][mine], kind="stable")]
     own, _ = p.arrays()
+    if "number" not in rows:  # a file of an older version
+        rows["number"] = rows["coarse_graining"] ** 3
     for name, a in own.items():
         values = rows[name][mine] if name in rows else np.zeros((len(mine), *a.shape[1:]))  # a file of an older version
         setattr(p, name, np.ascontiguousarray(values.astype(a.dtype)))

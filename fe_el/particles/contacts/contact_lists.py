@@ -10,6 +10,7 @@ from fe_el.particles.contacts.records import Candidates, FacetRows, Facets, Near
 from fe_el.particles.contacts.wall_patches import smooth_patches
 from fe_el.particles.contacts.wall_shapes import FACETS, shape_list
 from fe_el.particles.ghosts import Ghosts
+from fe_el.particles.motion import primary_diameters
 
 SORT_EVERY = 8  # rebuilds
 AHEAD = 80  # sub-steps that particles and walls have room for at their present speed
@@ -73,7 +74,7 @@ class ContactLists:
         rows = self.rows
         return not (np.array_equal(p.diameter / 2, rows.radius[:n]) and np.array_equal(p.position, rows.x[:n])
                     and np.array_equal(np.where(p.held, 0.0, 1 / p.mass), rows.inverse_mass[:n])
-                    and np.array_equal(p.material, rows.material[:n]))
+                    and np.array_equal(p.material, rows.material[:n]) and np.array_equal(p.number, self.number[:n]))
 
     def move_walls(self):
         """Tell planes and cylinders where they are now."""
@@ -157,8 +158,10 @@ class ContactLists:
         room = self._room(speeds)
         x, pairs = self._pairs(room)
         radius, self.ids = self.ghosts.grow(p.diameter / 2), self.ghosts.grow(p.id)
+        self.number = self.ghosts.grow(p.number)
+        parcels = len(radius) if (self.number != 1).any() else 0
         self.rows = Rows(np.empty((len(radius), 3)), aligned(len(radius), 8), aligned(len(radius), 8), radius,
-                         np.empty(len(radius)), self.ghosts.grow(p.material).view(np.uint32))
+                         np.empty(len(radius)), self.ghosts.grow(p.material).view(np.uint32), np.empty((parcels, 2)))
         self.rows.state[:, 0] = radius
         self.weigh()
         self._lists(x, pairs, self.ghosts.grow(room), kept, step)
@@ -170,6 +173,9 @@ class ContactLists:
         p = self.particles
         self.rows.inverse_mass[:] = self.ghosts.grow(np.where(p.held, 0.0, 1 / p.inertia))
         self.rows.state[:, 7] = self.rows.inverse_mass / self.rows.radius
+        if len(self.rows.parcel):
+            self.rows.parcel[:, 0] = self.number * self.rows.inverse_mass
+            self.rows.parcel[:, 1] = primary_diameters(self.rows.radius, self.number)
 
     def _choose_skin(self, smallest, largest, speed, h):
         """A skin that lasts some hundred sub-steps with the room that speed adds; always several of the fastest particle."""

@@ -29,6 +29,10 @@ class Contacts:
     ``law``, ``wall_law``, the list ``walls``, motion and place of each wall, and diameter, density, material and position of
     particles may be changed between two steps: the next one takes them up.
 
+    Built-in laws are those of single particles: contacts of parcels get the stiffness with which they last as long as those
+    of the particles in them (Patankar & Joseph 2001), so that the sub-steps do not depend on the parcels. An
+    :class:`ArrayLaw` sees the parcels themselves.
+
     Args:
         particles (Particles): the particles.
         law: :class:`LinearSpringDashpot`, :class:`HertzMindlin` or :class:`ArrayLaw` of particle-particle contacts.

@@ -183,6 +183,20 @@ def constant_rows(b, numbers):
 
 
 @njit(inline="always")
+def stiffness_of_parcel(b, n, numbers, stiffness, inverse_mass, reduced_radius):
+    """Stiffness of a contact of parcels, with which it lasts as long as one of their particles with the law's.
+
+    A linear contact lasts as sqrt(m*/k), one by Hertz as (m*^2 / (E*^2 R*))^(1/5) (Patankar & Joseph, Int. J. Multiphase
+    Flow 27 (2001) 1659); the rows hold the parcels' inverse reduced mass and reduced radius, the arguments are those of the
+    particles in them.
+    """
+    ratio = inverse_mass / b[n + row.INVERSE_MASS]
+    if numbers.kind == 1:
+        ratio *= math.sqrt(reduced_radius / b[n + row.REDUCED_RADIUS])
+    b[n + row.STIFFNESS] = ratio * stiffness
+
+
+@njit(inline="always")
 def uniform(numbers):
     """Whether there is one material only."""
     return numbers.table.shape[0] == 1 and numbers.table.shape[1] == 1

@@ -17,7 +17,7 @@ from fe_el.compiled.rows_of_four import (
 )
 from fe_el.particles.contacts import blocks as row
 from fe_el.particles.contacts.blocks import BLOCK
-from fe_el.particles.contacts.law_kernels import FAST, apply_law, uniform
+from fe_el.particles.contacts.law_kernels import FAST, apply_law, stiffness_of_parcel, uniform
 
 MANY = 60000  # particles whose rows do not fit into the near caches
 
@@ -83,6 +83,17 @@ def reduced_radius(b, m):
     for n in range(m):
         total, difference = b[n + row.REACH], b[n + row.RADII]
         b[n + row.REDUCED_RADIUS] = 0.25 * (total * total - difference * difference) / total
+
+
+@njit(fastmath=FAST, error_model="numpy")
+def gather_parcels(b, m, at, pairs, rows, numbers):
+    """Stiffnesses, where particles are parcels, of contacts whose reduced mass and radius are known."""
+    one = uniform(numbers)
+    for n in range(m):
+        i, j = pairs.first[at[n]], pairs.second[at[n]]
+        p, q = rows.parcel[i, 1], rows.parcel[j, 1]
+        stiffness = numbers.table[0, 0, 0] if one else numbers.table[rows.material[i], rows.material[j], 0]
+        stiffness_of_parcel(b, n, numbers, stiffness, rows.parcel[i, 0] + rows.parcel[j, 0], p * q / (p + q))
 
 
 @njit(fastmath=FAST, error_model="numpy")
@@ -185,6 +196,8 @@ def pair_forces(rows, listed, pairs, block, numbers, step, h, deepest):
             gather_rolling(b, full, at, pairs, state)
         if numbers.needs_radius:
             reduced_radius(b, full)
+        if len(rows.parcel) > 0:
+            gather_parcels(b, full, at, pairs, rows, numbers)
         apply_law(b, full, h, numbers)
         deepest = deepest_overlap(b, m, deepest)
         for c in range(m, full):

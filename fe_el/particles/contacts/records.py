@@ -20,6 +20,7 @@ class Rows(NamedTuple):
     radius: np.ndarray  #: (m,) [m]
     inverse_mass: np.ndarray  #: (m,) zero if held [1/kg]
     material: np.ndarray  #: (m,)
+    parcel: np.ndarray  #: (m, 2) inverse mass [1/kg] and radius [m] of the particles in each; no rows: no parcels
 
 
 class Drift(NamedTuple):

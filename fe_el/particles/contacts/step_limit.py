@@ -22,7 +22,7 @@ def step_limit(particles, law, wall_law, meeting):
     p = particles
     count = max(getattr(one, "materials", None) or 1 for one in (law, wall_law))
     density = p.inertia / p.volume if "added_mass" in p.properties else p.density
-    light, small = lightest_and_smallest(p.material, density, p.diameter, count)
+    light, small = lightest_and_smallest(p.material, density, p.primary_diameter, count)
     extremes = (p.speed(), p.diameter.max()) if len(p) else np.zeros(2)
     speed, biggest, *rest = largest_of(p.comm, *extremes, *light, *small)
     light, small = np.array(rest).reshape(2, count)

@@ -5,7 +5,7 @@ from fe_el.compiled.cache import njit
 from fe_el.compiled.rows_of_four import block_to_rows, scaled_to_block
 from fe_el.particles.contacts import blocks as row
 from fe_el.particles.contacts.blocks import BLOCK
-from fe_el.particles.contacts.law_kernels import FAST, apply_law, material_row, uniform
+from fe_el.particles.contacts.law_kernels import FAST, apply_law, material_row, stiffness_of_parcel, uniform
 from fe_el.particles.contacts.pair_forces import fill_up, four_of
 
 
@@ -92,6 +92,12 @@ def finish_block(block, m, rows, spring, stamp, walls, numbers, step, h):
     if numbers.needs_radius:
         for n in range(full):
             b[n + row.REDUCED_RADIUS] = b[n + row.RADIUS]
+    if len(rows.parcel) > 0:
+        one = uniform(numbers)
+        for n in range(full):
+            i = who[n]
+            stiffness = numbers.table[0, 0, 0] if one else numbers.table[rows.material[i], walls.material[wall_of[n]], 0]
+            stiffness_of_parcel(b, n, numbers, stiffness, rows.parcel[i, 0], rows.parcel[i, 1])
     if numbers.rolls > 0:
         _gather_rolling(block, full, rows.state, spring, motion)
     apply_law(b, full, h, numbers)
