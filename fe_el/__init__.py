@@ -3,7 +3,7 @@
 Fluid: VolumeAveragedNavierStokes, SubCycled, Scalar, Probe, TimeAverage, ramp, SolverDiverged;
     eddy viscosities Smagorinsky, Vreman, Wale; wall law Spalding; stabilisations Streamline, Upwind
 Particles: Particles, Inlet, LostParticle, Contacts; laws LinearSpringDashpot, HertzMindlin, RollingFriction, ArrayLaw;
-    walls FacetWalls, PlaneWall, CylinderWall
+    walls FacetWalls, PlaneWall, CylinderWall; Injector with FacetSource, DiscSource or PointSource; SizeDistribution
 Coupling: Coupling; forces Drag, PressureGradient, ViscousStress, Buoyancy, AddedMass, SaffmanLift, MagnusLift, Torque,
     UndisturbedVelocity and own ones; drag_laws; HelmholtzSmoothing, PatchAverage; OverlapVolume, SatellitePoints,
     ParticleCentred, HatKernel, WellMixed; time_scales
@@ -43,8 +43,11 @@ _NAMES = {
     "particles.contacts.contact_laws": "LinearSpringDashpot HertzMindlin RollingFriction",
     "particles.contacts.contacts": "Contacts",
     "particles.contacts.wall_shapes": "FacetWalls PlaneWall CylinderWall",
+    "particles.injection": "Injector",
     "particles.open_boundaries": "Inlet",
     "particles.particles": "Particles LostParticle",
+    "particles.size_distribution": "SizeDistribution",
+    "particles.sources": "FacetSource DiscSource PointSource",
     "run.checkpoint": "save_checkpoint load_checkpoint",
     "run.observers": "Probe TimeAverage",
     "run.paraview": "ParaViewOutput",

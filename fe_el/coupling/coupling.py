@@ -333,7 +333,7 @@ class Coupling(Maps):
         inertia, acceleration = self._accelerations()
         self.exchange = Exchange(dt, self.volume, inertia, velocity, acceleration, beta[:, None], mean[:, 1:], offset,
                                  self._to_cells, lambda q: self._deposit(q)[:n], cell_velocity,
-                                 self.fixed or (lambda field, filled: field))
+                                 self.fixed or (lambda field, filled: field), p.late)
         a, b = self.scheme.fields(self.exchange) if self.added is None else self._fields_with_added_mass(solid)
         if self.reacts:
             b = b + self._reaction()

@@ -84,22 +84,25 @@ def accelerations(held, volume, density, gravity, steady, contact_force, reactio
 
 
 @njit(error_model="numpy")
-def relax(dt, volume, density, beta, velocity, acceleration, relaxation_rate, target, rate_and_source):
-    """Exact relaxation over a step: rates beta / rho (n,), v* (n, d), and V beta' and V beta' v* (n, 1 + d)."""
-    d, a, mean, lag = velocity.shape[1], np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+def relax(dt, volume, density, beta, velocity, acceleration, late, relaxation_rate, target, rate_and_source):
+    """Exact relaxation over a step: rates beta / rho (n,), v* (n, d), and V beta' and V beta' v* (n, 1 + d); over the part
+    of the step that ``late`` leaves."""
+    d, a, mean, lag, part = velocity.shape[1], np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.ones(BLOCK)
     for first in range(0, len(velocity), BLOCK):
         number = min(BLOCK, len(velocity) - first)
         for n in range(number):
             relaxation_rate[first + n] = beta[first + n, 0] / density[first + n, 0]
-            a[n] = dt * relaxation_rate[first + n]
+            if len(late):
+                part[n] = 1 - late[first + n]
+            a[n] = dt * part[n] * relaxation_rate[first + n]
         relaxations(a, number, mean, lag)
         for n in range(number):
             i = first + n
-            rate, late = volume[i, 0] * beta[i, 0] * mean[n], dt * lag[n]
+            rate, behind = volume[i, 0] * beta[i, 0] * mean[n] * part[n], dt * part[n] * lag[n]
             rate_and_source[i, 0] = rate
             for k in range(3):
                 if k < d:
-                    target[i, k] = velocity[i, k] + late * acceleration[i, k]
+                    target[i, k] = velocity[i, k] + behind * acceleration[i, k]
                     rate_and_source[i, 1 + k] = rate * target[i, k]
 
 

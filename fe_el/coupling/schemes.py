@@ -27,6 +27,12 @@ class Exchange(NamedTuple):
     raw: Callable             #: (particles, k) -> cell totals (cells, k), mapped only
     cell_velocity: np.ndarray  #: (cells, d) fluid velocity before the step [m/s]
     continue_mean: Callable   #: (field, filled) -> mean particle velocity continued into empty cells
+    late: np.ndarray          #: (particles,) share of the step after which a particle comes in; no rows: none does
+
+    @property
+    def mean_beta(self):
+        """(particles, 1) mean over the step: what comes in late has no drag before that."""
+        return self.beta * (1 - self.late[:, None]) if len(self.late) else self.beta
 
 
 class Conservative:
@@ -48,7 +54,7 @@ class Conservative:
         self.target, self.relaxation_rate = work.empty("target", n, d), work.empty("relaxation_rate", n)
         self.rate_and_source = work.empty("rate_and_source", n, 1 + d)
         velocity = x.velocity if x.offset is None else x.velocity - x.offset
-        loops.relax(x.dt, x.volume, x.density, x.beta, velocity, x.acceleration, self.relaxation_rate, self.target,
+        loops.relax(x.dt, x.volume, x.density, x.beta, velocity, x.acceleration, x.late, self.relaxation_rate, self.target,
                     self.rate_and_source)
         out = x.to_cells(self.rate_and_source)
         return out[:, :1], out[:, 1:]
@@ -68,7 +74,7 @@ class Explicit:
 
     def fields(self, x):
         """A (cells, 1) and B (cells, d)."""
-        self.drag = x.volume * x.beta * (x.fluid_velocity - x.velocity)
+        self.drag = x.volume * x.mean_beta * (x.fluid_velocity - x.velocity)
         b = -x.to_cells(self.drag)
         return np.zeros((len(b), 1)), b
 
@@ -95,7 +101,7 @@ class Implicit(Explicit):
     def fields(self, x):
         """A (cells, 1) and B (cells, d)."""
         super().fields(x)
-        a = x.to_cells(x.volume * x.beta)
+        a = x.to_cells(x.volume * x.mean_beta)
         return a, a * x.continue_mean(*self._mean(x))
 
 
@@ -111,7 +117,7 @@ class ImplicitFromForce(Implicit):
         """A (cells, 1) and B (cells, d)."""
         Explicit.fields(self, x)
         mean = x.continue_mean(*self._mean(x))
-        force = x.to_cells(x.volume * x.beta * (x.fluid_velocity - self._new(x)))
+        force = x.to_cells(x.volume * x.mean_beta * (x.fluid_velocity - self._new(x)))
         slip = np.linalg.norm(x.cell_velocity - mean, axis=1, keepdims=True)
         a = np.linalg.norm(force, axis=1, keepdims=True) / np.maximum(slip, 1e-12)
         return a, a * mean
@@ -123,7 +129,7 @@ class Split(Explicit):
     def fields(self, x):
         """A (cells, 1) and B (cells, d)."""
         _, b = super().fields(x)
-        a = x.to_cells(x.volume * x.beta)
+        a = x.to_cells(x.volume * x.mean_beta)
         return a, b + a * x.cell_velocity
 
 
@@ -134,7 +140,7 @@ class VoidCellsExplicit(Implicit):
         """A (cells, 1) and B (cells, d)."""
         _, b = Explicit.fields(self, x)
         mean, filled = self._mean(x)
-        a = np.where(filled[:, None], x.to_cells(x.volume * x.beta), 0.0)
+        a = np.where(filled[:, None], x.to_cells(x.volume * x.mean_beta), 0.0)
         return a, np.where(filled[:, None], a * mean, b)
 
 

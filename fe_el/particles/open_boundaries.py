@@ -1,4 +1,4 @@
-"""Boundaries that particles may leave through, and boundaries that let particles in at a mass rate."""
+"""Boundaries that particles may leave through, rebound from, or come in through at a mass rate."""
 import numpy as np
 from mpi4py import MPI
 from scipy.spatial import cKDTree
@@ -7,6 +7,9 @@ from fe_el.checks import finite_vector, of_kind, positive_number, require_positi
 from fe_el.compiled.cache import njit
 from fe_el.mesh import cell_mesh as _mesh
 from fe_el.particles.contacts.walls import facet_balls, facet_frames, nearest_point
+from fe_el.particles.sources import inward_facets
+
+NEAR = 24  # facets with the nearest middles, among which is the one that a particle went through
 
 
 class OpenBoundaries:
@@ -27,16 +30,85 @@ class OpenBoundaries:
 
         That is so if the nearest facet of the boundary is open, or the first one on the way back along the velocity.
         """
-        near = self.tree.query(position, k=min(24, len(self.corner)))[1].reshape(len(position), -1)
-        out = np.zeros(len(position), bool)
-        for i, facets in enumerate(near):
-            distance = [np.sum((np.array(nearest_point(self.corner[f],
-                                                       *position[i])[:3]) - position[i]) ** 2) for f in facets]
-            out[i] = self.open[facets[int(np.argmin(distance))]]
-        for i in np.flatnonzero(~out):
-            back = _first_crossed(self.frames, position[i], -velocity[i])
-            out[i] = back >= 0 and self.open[back]
-        return out
+        return _left(_near(self.tree, position), self.corner, self.frames, self.open, position, velocity)
+
+
+class Rebounds:
+    """Turns particles back whose centres went through boundary groups.
+
+    Args:
+        particles (Particles): the particles.
+        facet_tags, groups: boundary facets.
+        restitution (float): normal velocity after over that before, from 0 to 1.
+
+    Note:
+        Collective.
+    """
+
+    def __init__(self, particles, facet_tags, groups, restitution):
+        groups = _mesh.require_groups(particles.mesh, facet_tags, groups)
+        self.corner, self.solid = _mesh.exterior_facets(particles.mesh, facet_tags, groups)
+        self.tree, self.frames, self.restitution = cKDTree(self.corner.mean(1)), facet_frames(self.corner), restitution
+        size = 1e-3 * np.linalg.norm(self.corner[:, 1] - self.corner[:, 0], axis=1)
+        ahead = particles.search(self.corner.mean(1) + size[:, None] * self.frames[:, 9:]) >= 0
+        self.frames[np.any(particles.comm.allgather(ahead), axis=0), 9:] *= -1  # outwards
+
+    def turn_back(self, position, velocity, rows):
+        """Mirror places and velocities of some rows at the facet that each went through; returns how many were."""
+        if not len(rows):
+            return 0
+        return _turn_back(_near(self.tree, position[rows]), self.corner, self.frames, self.solid, self.restitution, position,
+                          velocity, rows)
+
+
+def _near(tree, position):
+    """Facets with the nearest middles (points, facets)."""
+    return tree.query(position, k=min(NEAR, tree.n))[1].reshape(len(position), -1)
+
+
+@njit
+def _nearest(facets, corner, x):
+    """The facet that a point is nearest to."""
+    best, least = -1, np.inf
+    for f in facets:
+        qx, qy, qz, _, _, _ = nearest_point(corner[f], x[0], x[1], x[2])
+        distance = (qx - x[0]) ** 2 + (qy - x[1]) ** 2 + (qz - x[2]) ** 2
+        if distance < least:
+            best, least = f, distance
+    return best
+
+
+@njit
+def _left(near, corner, frame, is_open, position, velocity):
+    """See :meth:`OpenBoundaries.left_through`."""
+    out = np.zeros(len(position), np.bool_)
+    for i in range(len(position)):
+        out[i] = is_open[_nearest(near[i], corner, position[i])]
+        if not out[i]:
+            back = _first_crossed(frame, position[i], -velocity[i])
+            out[i] = back >= 0 and is_open[back]
+    return out
+
+
+@njit
+def _turn_back(near, corner, frame, solid, restitution, position, velocity, rows):
+    """See :meth:`Rebounds.turn_back`; the facet is the first on the way back, or else the nearest."""
+    turned = 0
+    for n in range(len(rows)):
+        x, v = position[rows[n]], velocity[rows[n]]
+        back = _first_crossed(frame[near[n]], x, -v)
+        f = near[n, back] if back >= 0 else _nearest(near[n], corner, x)
+        beyond = speed = 0.0
+        for k in range(3):
+            beyond += frame[f, 9 + k] * (x[k] - frame[f, k])
+            speed += frame[f, 9 + k] * v[k]
+        if not solid[f] or beyond <= 0:
+            continue
+        turned += 1
+        for k in range(3):
+            x[k] -= (1 + restitution) * beyond * frame[f, 9 + k]
+            v[k] -= (1 + restitution) * max(speed, 0.0) * frame[f, 9 + k]
+    return turned
 
 
 @njit
@@ -69,7 +141,7 @@ class Inlet:
         mass_rate (float): [kg/s].
         diameter: one number, an array to draw from, or a function ``(generator, count) -> diameters`` [m].
         velocity: of what comes in [m/s].
-        density, material, coarse_graining: as in ``Particles.insert_at``.
+        density, material, coarse_graining, number: as in ``Particles.insert_at``.
         seed (int): of the places and sizes.
 
     Attributes:
@@ -93,26 +165,12 @@ class Inlet:
         self.tries, self.kind = tries, kind
         self.density = positive_number("density", particles.default_density if density is None else density)
         self.velocity = finite_vector("velocity", velocity)
-        corner = _mesh.boundary_facets(particles.mesh, facet_tags, group)[0]
-        self.corner = np.array([x[_mesh.by_place(x)] for x in corner])
-        edges = self.corner[:, 1:] - self.corner[:, :1]
-        d = self.corner.shape[1]
-        normal = np.cross(edges[:, 0], edges[:, 1] if d == 3 else np.array([0.0, 0.0, 1.0]))
-        self.area = np.linalg.norm(normal, axis=1)
-        self.normal = normal / self.area[:, None]
-        self._inwards()
+        self.corner, self.area, self.normal = inward_facets(particles, facet_tags, group)
         every, chosen = _mesh.exterior_facets(particles.mesh, facet_tags,
                                               _mesh.require_groups(particles.mesh, facet_tags, group))
         self.others, self.balls = every[~chosen], facet_balls(every[~chosen]) if not chosen.all() else np.zeros((0, 7))
         self.generator = np.random.default_rng(seed)
         self.inserted, self.waiting, self.next = 0, 0.0, None
-
-    def _inwards(self):
-        """Turn the normals into the mesh."""
-        size = np.sqrt(self.area.mean()) * 1e-3
-        inside = self.particles.search(self.corner.mean(1) + size * self.normal) >= 0
-        inside = np.any(self.particles.comm.allgather(inside), axis=0)
-        self.normal[~inside] *= -1
 
     def _draw_diameter(self):
         if callable(self.diameter):

@@ -1,17 +1,19 @@
 """The particles: a structure of arrays on the cells of a mesh, each particle owned by the rank of its cell."""
 import numpy as np
 
-from fe_el.checks import finite_vector, positive_number, require_mesh, require_positive, require_tags
+from fe_el.checks import finite_vector, numbers, positive_number, require_mesh, require_positive, require_tags
 from fe_el.mesh import cell_mesh as _mesh
 from fe_el.parallel.exchange import largest_of, move, raise_everywhere
 from fe_el.parallel.failures import end_all_ranks_on_errors
 from fe_el.particles import insertion, location, motion
-from fe_el.particles.open_boundaries import OpenBoundaries
+from fe_el.particles.open_boundaries import OpenBoundaries, Rebounds
 
 FIELDS = {"position": (3,), "velocity": (3,), "angular_velocity": (3,), "diameter": (), "density": (), "force": (3,),
           "contact_force": (3,), "contact_torque": (3,), "mean_contact_force": (3,), "number": (), "relaxation_rate": ()}
 
 INTEGERS = ("cell", "id", "material", "held")
+
+MOST_REBOUNDS = 8  # of a particle in one step
 
 
 class LostParticle(RuntimeError):
@@ -49,7 +51,7 @@ class Particles:
         self.mesh, self.comm, self.default_density = mesh, mesh.comm, density
         self.gravity = finite_vector("gravity", gravity)
         self.thickness, self.halo_width, self.step = thickness, -1.0, 0
-        self.left, self.left_mass, self._open, self._place = 0, 0.0, None, None
+        self.left, self.left_mass, self._open, self._rebounds, self._place = 0, 0.0, None, None, None
         for name, shape in FIELDS.items():
             setattr(self, name, np.zeros((0, *shape)))
         self.cell, self.id, self.material = np.zeros(0, np.int32), np.zeros(0, np.int64), np.zeros(0, np.int32)
@@ -90,6 +92,11 @@ class Particles:
     def inertia(self):
         """(particles,) mass with the added mass, if there is one [kg]."""
         return self.mass + self.properties["added_mass"] if "added_mass" in self.properties else self.mass
+
+    @property
+    def late(self):
+        """(particles,) share of the coming step after which each particle comes in; without rows: all are here already."""
+        return self.properties.get("_late", np.zeros(0))
 
     def speed(self):
         """Largest speed of a particle on this rank [m/s]. Not collective."""
@@ -195,6 +202,22 @@ class Particles:
         require_tags("facet tags of an outlet", facet_tags, self.mesh)
         self._open = OpenBoundaries(self.mesh, facet_tags, groups)
 
+    def rebound_at(self, facet_tags, groups, restitution=1.0):
+        """Let particles rebound where their centres meet boundary groups, without contacts: for dilute flow.
+
+        The normal velocity is turned around and multiplied by ``restitution``; there is no friction.
+
+        Raises:
+            ValueError: if a group has no facet, or for a restitution that is not from 0 to 1.
+
+        Note:
+            Collective.
+        """
+        require_tags("facet tags of a wall", facet_tags, self.mesh)
+        if numbers("restitution", restitution).ndim or not 0 <= restitution <= 1:
+            raise ValueError(f"The restitution of a rebound is {restitution}; give a number from 0 to 1.")
+        self._rebounds = Rebounds(self, facet_tags, groups, float(restitution))
+
     # -- order and ranks -------------------------------------------------------------------------------------------
 
     def arrays(self):
@@ -241,19 +264,12 @@ class Particles:
         return self._migrate()
 
     def _search_everywhere(self):
-        lost = np.flatnonzero(self.cell < 0)
-        where = self.search(self.position[lost])
-        if self.comm.size > 1:
-            everywhere = self.comm.allgather(self.position[lost])
-            found = [self.comm.allgather(self.search(x)) for x in everywhere][self.comm.rank]
-            self._claims = {int(i): (r, f[k]) for k, i in enumerate(lost) for r, f in enumerate(found) if f[k] >= 0}
-            where = np.array([0 if int(i) in self._claims else -1 for i in lost], np.int32)
-        else:
-            self.cell[lost] = where
-        bad = lost[where < 0]
-        if self._open is not None and len(bad):
-            out = self._open.left_through(self.position[bad], self.velocity[bad])
-            self._gone, bad = bad[out], bad[~out]
+        bad, self._claims = np.flatnonzero(self.cell < 0), {}
+        for _ in range(MOST_REBOUNDS + 1):
+            bad = self._still_lost(bad)
+            turned = 0 if self._rebounds is None else self._rebounds.turn_back(self.position, self.velocity, bad)
+            if not self.comm.allreduce(turned):
+                break
         gone = self.comm.allreduce(np.array([len(self._gone), self.mass[self._gone].sum()]))
         self.left, self.left_mass = self.left + int(gone[0]), self.left_mass + gone[1]
         message = None
@@ -263,6 +279,22 @@ class Particles:
                        f"{self.velocity[i].tolist()} (step {self.step}, rank {self.comm.rank}). Name the boundary it "
                        "crossed in walls=, use a smaller step, or a stiffer contact law.")
         raise_everywhere(self.comm, LostParticle, message)
+
+    def _still_lost(self, lost):
+        """Those of some rows that are in no cell of any rank and did not leave, either. Collective."""
+        where = self.search(self.position[lost])
+        if self.comm.size > 1:
+            everywhere = self.comm.allgather(self.position[lost])
+            found = [self.comm.allgather(self.search(x)) for x in everywhere][self.comm.rank]
+            self._claims |= {int(i): (r, f[k]) for k, i in enumerate(lost) for r, f in enumerate(found) if f[k] >= 0}
+            where = np.array([0 if int(i) in self._claims else -1 for i in lost], np.int32)
+        else:
+            self.cell[lost] = where
+        bad = lost[where < 0]
+        if self._open is not None and len(bad):
+            out = self._open.left_through(self.position[bad], self.velocity[bad])
+            self._gone, bad = np.concatenate([self._gone, bad[out]]), bad[~out]
+        return bad
 
     def _migrate(self):
         """Send particles in halo cells to the owners of these cells."""
@@ -314,6 +346,8 @@ class Particles:
         cell, place = self._place
         longest = motion.places_ahead(self.position, self.velocity, self.force, self.mean_contact_force, self.inertia,
                                       self.gravity, self.relaxation_rate, self.held, ahead, place)
+        if len(self.late):
+            place -= self.late[:, None] * (place - self.position)
         reach = largest_of(self.comm, longest, self.diameter.max(initial=0.0))
         if reach[0] + 3 * reach[1] > self.halo_width:
             self.reach_halo(1.5 * reach[0] + 3 * reach[1])
@@ -395,12 +429,13 @@ class Particles:
         self._check_arrays()
         self.step += 1
         if contacts is None:
+            late = self.properties.pop("_late", np.zeros(0))
             if self.all_held():
                 return
             motion.free_flight(self.position, self.velocity, self.force, self.inertia, self.gravity, self.relaxation_rate,
-                               self.held, dt)
+                               self.held, late, dt)
         else:
-            contacts.advance(dt)
+            self._advance_with(contacts, dt)
         bad, message = np.flatnonzero(~np.isfinite(self.velocity).all(1)), None
         if len(bad):
             message = (f"Particle {self.id[bad[0]]} has velocity {self.velocity[bad[0]].tolist()} at step {self.step} on "
@@ -410,6 +445,20 @@ class Particles:
         if contacts is None:
             self.locate()
             self._put_in_order()
+
+    def _advance_with(self, contacts, dt):
+        """A step with contacts; those who came in late are put back along the way that a whole step took them."""
+        came = "_late" in self.properties
+        if came:
+            self.properties["_came_at"] = self.position.copy()
+        contacts.advance(dt)
+        if came:
+            late, way = self.properties.pop("_late"), self.position - self.properties.pop("_came_at")
+            if self.period is not None:
+                period = np.where(self.period > 0, self.period, np.inf)
+                way -= np.where(self.period > 0, np.round(way / period) * self.period, 0.0)
+            self.position -= late[:, None] * way
+            self.locate()
 
     def _check_arrays(self):
         """Raise ``ValueError`` on every rank for arrays of the user's that no step can start from. Collective."""

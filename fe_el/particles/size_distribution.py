@@ -1,0 +1,128 @@
+"""Distributions of particle diameters, for inlets and injectors."""
+import math
+
+import numpy as np
+
+from fe_el.checks import numbers, positive_number, require_not_negative, require_positive
+
+CLASSES = 1000  # of a curve
+
+
+class SizeDistribution:
+    """Diameters in classes, each with a share of the number or of the mass of all particles; within a class all diameters
+    are equally frequent.
+
+    It is also a function ``(generator, count) -> diameters``, of single particles, as :class:`Inlet` takes.
+
+    Args:
+        lower, upper: (classes,) bounds of the classes, equal for single sizes [m].
+        shares: (classes,) not negative, of any sum.
+        by (str): what the shares are of: ``number`` or ``mass``.
+
+    Attributes:
+        smallest, largest (float): diameters that occur [m].
+
+    Raises:
+        ValueError: for bounds that are not positive or in the wrong order, shares that are negative or all zero.
+    """
+
+    def __init__(self, lower, upper, shares, by="number"):
+        require_positive("diameter", lower)
+        require_positive("diameter", upper)
+        require_not_negative("shares of the sizes", shares)
+        self.lower, self.upper, shares = (np.atleast_1d(np.asarray(a, float)) for a in (lower, upper, shares))
+        if by not in ("number", "mass"):
+            raise ValueError(f"The shares of the sizes are by {by!r}; use 'number' or 'mass'.")
+        if not self.lower.shape == self.upper.shape == shares.shape or shares.ndim != 1:
+            raise ValueError(f"The sizes have bounds of shapes {self.lower.shape} and {self.upper.shape}, their shares have "
+                             f"shape {shares.shape}; give one of each for each class.")
+        if not (self.upper >= self.lower).all() or not shares.sum() > 0:
+            raise ValueError("The upper bounds of the sizes must not be below the lower ones, nor all shares zero.")
+        cube = (self.lower + self.upper) * (self.lower ** 2 + self.upper ** 2) / 4  # mean of the cube over a class
+        self.by_number = shares / cube if by == "mass" else shares.copy()
+        self.by_number /= self.by_number.sum()
+        self.smallest, self.largest = self.lower[shares > 0].min(), self.upper[shares > 0].max()
+
+    @classmethod
+    def listed(cls, diameters, shares=None, by="number"):
+        """Single sizes (sizes,) [m] with shares of the number or the mass of all; absent: equal shares."""
+        diameters = np.atleast_1d(numbers("diameters", diameters))
+        return cls(diameters, diameters, np.ones(len(diameters)) if shares is None else numbers("shares", shares), by)
+
+    @classmethod
+    def sieves(cls, openings, passing):
+        """A sieve table: the share of the mass ``passing`` (sieves,) through the ``openings`` (sieves,) [m], both
+        rising; below the first opening there is nothing, above the last one neither.
+
+        Raises:
+            ValueError: for a table that does not rise, or of fewer than two sieves.
+        """
+        openings, passing = numbers("openings", openings), numbers("passing shares", passing)
+        if openings.shape != passing.shape or openings.size < 2 or (np.diff(openings) <= 0).any() \
+                or (np.diff(passing) < 0).any():
+            raise ValueError(f"The sieve table has openings {openings.tolist()} and passing shares {passing.tolist()}; give "
+                             "two or more of each, rising.")
+        edges = np.union1d(np.linspace(openings[0], openings[-1], CLASSES + 1), openings)
+        return cls._of_curve(edges, np.interp(edges, openings, passing), "mass")
+
+    @classmethod
+    def normal(cls, mean, deviation, smallest=None, largest=None):
+        """Normal by number, with mean and standard deviation [m] before it is cut at ``smallest`` and ``largest`` [m];
+        absent: at three deviations, but not below a hundredth of the mean."""
+        mean, deviation = positive_number("mean diameter", mean), positive_number("deviation of the diameter", deviation)
+        edges = _edges(smallest or max(mean - 3 * deviation, 0.01 * mean), largest or mean + 3 * deviation)
+        return cls._of_curve(edges, _normal((edges - mean) / deviation), "number")
+
+    @classmethod
+    def lognormal(cls, median, spread, smallest=None, largest=None, by="number"):
+        """Lognormal by number or mass, with median [m] and geometric standard deviation ``spread``, above 1; cut as
+        :meth:`normal`, absent: at spread^4 from the median."""
+        median, spread = positive_number("median diameter", median), positive_number("spread of the diameter", spread)
+        if not spread > 1:
+            raise ValueError(f"The geometric standard deviation of the diameter is {spread}; it must be greater than 1.")
+        edges = _edges(smallest or median / spread ** 4, largest or median * spread ** 4, True)
+        return cls._of_curve(edges, _normal(np.log(edges / median) / math.log(spread)), by)
+
+    @classmethod
+    def rosin_rammler(cls, size, exponent, smallest=None, largest=None):
+        """Share 1 - exp(-(d / size)^exponent) of the mass finer than d (Rosin & Rammler 1933), ``size`` in m; cut as
+        :meth:`normal`, absent: where 0.1 % of the mass are finer or coarser."""
+        size, exponent = positive_number("size", size), positive_number("exponent", exponent)
+        ends = size * (-np.log([0.999, 0.001])) ** (1 / exponent)
+        edges = _edges(smallest or ends[0], largest or ends[1], True)
+        return cls._of_curve(edges, -np.expm1(-(edges / size) ** exponent), "mass")
+
+    @classmethod
+    def _of_curve(cls, edges, finer, by):
+        return cls(edges[:-1], edges[1:], np.diff(finer), by)
+
+    def mean_cube(self):
+        """Mean of the cube of the diameter by number [m^3]: times pi/6 and the density the mean mass of a particle."""
+        return float(self.by_number @ ((self.lower + self.upper) * (self.lower ** 2 + self.upper ** 2) / 4))
+
+    def draw(self, generator, count, number=None):
+        """Diameters (count,) of parcels that stand for ``number(diameters)`` particles each, such that the particles are
+        distributed as said; absent: of single particles."""
+        weight = self.by_number
+        if number is not None:
+            weight = weight / np.broadcast_to(number(0.5 * (self.lower + self.upper)), weight.shape)
+        below = np.cumsum(weight)
+        random = generator.random((count, 2))
+        k = np.minimum(np.searchsorted(below, random[:, 0] * below[-1], side="right"), len(below) - 1)
+        return self.lower[k] + random[:, 1] * (self.upper[k] - self.lower[k])
+
+    def __call__(self, generator, count):
+        return self.draw(generator, count)
+
+
+def _edges(smallest, largest, by_ratio=False):
+    smallest, largest = positive_number("smallest diameter", smallest), positive_number("largest diameter", largest)
+    if not largest > smallest:
+        raise ValueError(f"The smallest diameter is {smallest:g} m and the largest {largest:g} m; the largest must be above "
+                         "the smallest.")
+    return (np.geomspace if by_ratio else np.linspace)(smallest, largest, CLASSES + 1)
+
+
+def _normal(x):
+    """Share of a standard normal distribution below x."""
+    return np.array([0.5 * (1 + math.erf(v / math.sqrt(2))) for v in np.ravel(x)])
