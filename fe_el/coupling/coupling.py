@@ -17,6 +17,7 @@ from fe_el.coupling.forces import Buoyancy, Drag, PressureGradient
 from fe_el.coupling.lift_and_torque import Spin
 from fe_el.coupling.maps import Maps
 from fe_el.coupling.over_filled import Spill
+from fe_el.coupling.relaxing_slip import over_step
 from fe_el.coupling.schemes import Exchange, Explicit, scheme_of
 from fe_el.coupling.smoothing import FixedValues
 from fe_el.coupling.undisturbed import OwnVelocity, UndisturbedVelocity
@@ -112,6 +113,8 @@ class Coupling(Maps):
         self.others = {method: [f for f in others if hasattr(f, method)] for method in METHODS}
         self.others = {method: found for method, found in self.others.items() if found}
         self.added = self._added_mass(law, scheme, mean_velocity)
+        if self.drag is not None and self.drag.relaxing and (scheme != "conservative" or self.added is not None):
+            raise ValueError("Drag(relaxing=True) needs scheme='conservative', and particles without added mass.")
         self.drags, self.reacts = self.drag is not None or self.added is not None or "drag_coefficient" in self.others, bool(
             {"force", "spin"} & set(self.others))
         self.mapping, self.smoothing, self.scheme = _mapping.mapping_of(mapping), smoothing, scheme_of(scheme)
@@ -140,7 +143,7 @@ class Coupling(Maps):
             self.seconds["smoothing"] = 0.0
         cells, thickness = particles.cells, particles.thickness if d == 2 else 1.0
         self._cell_size = (math.factorial(d) * cells.volume[:cells.owned] / thickness) ** (1 / d)
-        self._dt = None  # of the last to_fluid
+        self._dt, self.of_way = None, 1.0  # of the last to_fluid; rate of the particles' ways over that of their velocities
         self._kept, self._mapped, self._work, self._none, self.layout = None, None, WorkArrays(), np.zeros((0, d)), None
         self.steps_to_check = 0  # until the step is checked again; less: never
         self.over_filled, self.over_filled_total, self.solid_volume_error = 0, 0, 0.0
@@ -325,7 +328,7 @@ class Coupling(Maps):
         if self.own is not None:
             volume = p.cells.volume
             solid = self.own.around(p, self.mapping.concentration(volume), self._gather(volume[:, None]), solid, slip)
-        beta = self._coefficient(solid, slip)
+        beta = self._coefficient(solid, slip, dt)
         if self.own is not None:
             ahead = self.own.ahead(dt, p, beta)
             mean[:, 1:] += own - ahead
@@ -360,9 +363,9 @@ class Coupling(Maps):
         self._set(3, out[:, 1:2])
         return out[:, :1], out[:, 2:]
 
-    def _coefficient(self, solid, slip):
+    def _coefficient(self, solid, slip, dt):
         """Drag coefficient of each particle, checked."""
-        p, beta = self.particles, np.zeros(len(self.particles)) if self.drag is None else self._by_law(solid, slip)
+        p, beta = self.particles, np.zeros(len(self.particles)) if self.drag is None else self._by_law(solid, slip, dt)
         for force in self.others.get("drag_coefficient", ()):
             beta = beta + given(force, "drag_coefficient", self.at_fluid, (len(p),))
         i, message = loops.first_bad(beta), None
@@ -374,14 +377,22 @@ class Coupling(Maps):
         raise_everywhere(self.comm, FloatingPointError, message)
         return beta
 
-    def _by_law(self, solid, slip):
-        """Drag coefficient of each particle by the law of :class:`Drag`."""
+    def _by_law(self, solid, slip, dt):
+        """Drag coefficient of each particle by the law of :class:`Drag`, at its slip or over the step."""
         p, sauter = self.particles, None
         if self.drag.polydisperse:
             sizes = np.hstack([self.volume, self.volume / p.primary_diameter[:, None]])
             sums = self._gather(self._on_cells(self._to_cells(sizes)))
             sauter = sums[:, 0] / sums[:, 1]
-        return self.drag.coefficient(solid, slip, p.primary_diameter, self.density, self.viscosity, sauter)
+
+        def at(slip):
+            return self.drag.coefficient(solid, slip, diameter, self.density, self.viscosity, sauter)
+        diameter = p.primary_diameter
+        if not self.drag.relaxing:
+            return at(slip)
+        beta, rate = over_step(at, slip, p.density, dt * (1 - p.late) if len(p.late) else dt)
+        self.of_way = np.where(p.held, 1.0, rate * p.density / beta)
+        return np.where(p.held, at(slip), beta)
 
     def _accelerations(self):
         """Densities (particles, 1), infinite if held, and accelerations (particles, d): by gravity, the last mean contact
@@ -436,7 +447,7 @@ class Coupling(Maps):
             drag = self.scheme.force(fluid_velocity)
             if self.own is not None:
                 self.own.update(p, drag)
-        p.relaxation_rate[:] = self.scheme.relaxation_rate if self.drags else 0.0
+        p.relaxation_rate[:] = self.scheme.relaxation_rate * self.of_way if self.drags else 0.0
         if self.pressure_force is not None:
             gradient = p.properties.setdefault("_pressure_gradient", np.empty((len(p), self.dimension)))
         return loops.total_force(self.volume, p.density, self._steady, drag, reaction, slope, gradient, p.force)

@@ -28,19 +28,21 @@ class Drag:
         law: function or name.
         polydisperse (bool): evaluate F at the local Sauter diameter d32 and multiply it by y + 0.064 y^3, y = d / d32
             (Beetstra et al. 2007).
+        relaxing (bool): let a law that is not linear follow the slip as it falls over a step that is not small against the
+            particles' relaxation time, for the ``conservative`` scheme; up to 128 evaluations of the law.
 
     Raises:
         ValueError: for an unknown name, or something that is not such a function.
     """
 
-    def __init__(self, law, polydisperse=False):
+    def __init__(self, law, polydisperse=False, relaxing=False):
         if isinstance(law, str):
             if law not in drag_laws.LAWS:
                 raise ValueError(f"There is no drag law {law!r}; use one of {sorted(drag_laws.LAWS)} or pass a function.")
             law = drag_laws.LAWS[law]
         if not callable(law) or len(inspect.signature(law).parameters) < 2:
             raise ValueError(f"The drag law is {law!r}; pass a function law(solid_fraction, reynolds) that returns F.")
-        self.law, self.polydisperse = law, bool(polydisperse)
+        self.law, self.polydisperse, self.relaxing = law, bool(polydisperse), bool(relaxing)
 
     def coefficient(self, solid_fraction, slip, diameter, density, viscosity, sauter=None):
         """beta = 18 mu phi F / d^2 per particle volume (particles,) [kg/(m^3 s)]; ``sauter`` is the local d32 [m]."""
