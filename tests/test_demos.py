@@ -11,6 +11,8 @@ from demos import (
     contacts_only,
     flow_past_cylinder,
     fluidised_bed,
+    jet_in_cross_flow,
+    jet_report,
     minimum_fluidisation,
     mri_bed,
     own_weak_form,
@@ -344,3 +346,25 @@ def test_forces_in_cells_beside_taylor_hood(folder):
     numbers = forces_in_cells.main(cubes=6, numbers=(0.5,), output=folder, progress=False)
     for name in ("one", "another", "ten_scattered", "ten_of_a_hundred"):
         assert numbers["largest_deviation_" + name] < 0.1, name
+
+
+@pytest.mark.ranks
+def test_jet_in_cross_flow(folder):
+    """Coarse and short: parcels rise out of the slot, and what came in is held or has left."""
+    summary = jet_in_cross_flow.main(cells=(18, 7), end_time=0.02, time_step=2e-4, coarse_graining=60.0, output=folder,
+                                     progress=False)
+    assert summary["stable"] and summary["parcels"] > 100 and summary["mass_balance"] < 1e-12
+    assert summary["largest_third_law_error"] < 1e-12
+    rows = np.genfromtxt(folder + "/heights.csv", delimiter=",", names=True)
+    assert 0.01 < np.nanmax(rows["height_all_m"]) < 0.2
+    with pytest.raises(ValueError, match="--slot is"):
+        jet_in_cross_flow.main(slot=(1.7, 0.2), output=folder, progress=False)
+
+
+def test_jet_report(folder):
+    """Two schemes beside each other; explicit coupling at a large step is reported as unstable."""
+    small = {"cells": (18, 7), "end_time": 0.01, "coarse_graining": 60.0, "output": folder, "progress": False}
+    summary = jet_report.main(small, (("conservative", 2e-4, {}), ("explicit", 1e-3, {"slot_air": 0.0})))
+    assert summary["runs"] == 2 and summary["stable_runs"] == 1
+    with open(folder + "/report.csv") as file:
+        assert len(file.readlines()) == 3
