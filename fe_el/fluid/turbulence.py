@@ -1,25 +1,99 @@
-"""Eddy viscosities of large-eddy simulation, from the cell-wise gradient of the nodal velocity."""
+"""Eddy viscosities of large-eddy simulation, from the cell-wise gradient of the nodal velocity.
+
+A closure is any callable ``closure(fluid, u)`` that gives the (cells,) eddy viscosity [m^2/s] of the nodal velocity u
+(nodes, d). The filter width D is the cube root of the cell's volume, in two dimensions the square root of its area.
+"""
 import numpy as np
 
 from fe_el.checks import require_positive
+from fe_el.compiled.cache import njit
+from fe_el.compiled.for_each_dimension import FAST, D, M, by_dimension
 
 
-def velocity_gradient(fluid, u):
-    """Cell-wise gradient g[c, i, j] = d u_j / d x_i of a nodal velocity [1/s]."""
-    return np.einsum("cvi,cvj->cij", fluid.gradient, u[fluid.dofs])
+@njit(fastmath=FAST)
+def _velocity_gradient(gradient, u, nodes, d, g):
+    """Fill g[i, j] = d u_j / d x_i [1/s] of one cell."""
+    for i in range(d):
+        for j in range(d):
+            total = 0.0
+            for v in range(d + 1):
+                total += gradient[v, i] * u[nodes[v], j]
+            g[i, j] = total
 
 
-def filter_width(fluid):
-    """Cube root of the cell volume (square root of the area in two dimensions) [m]."""
-    return fluid.volume ** (1 / fluid.dimension)
+@by_dimension
+def _smagorinsky(dofs, gradient, u, width, constant, out):
+    """(C D)^2 sqrt(2 S:S)."""
+    g = np.empty((D, D))
+    for c in range(len(dofs)):
+        _velocity_gradient(gradient[c], u, dofs[c], D, g)
+        strain = 0.0
+        for i in range(D):
+            for j in range(D):
+                s = 0.5 * (g[i, j] + g[j, i])
+                strain += s * s
+        out[c] = (constant * width[c]) ** 2 * np.sqrt(2 * strain)
 
 
-def _strain(g):
-    s = 0.5 * (g + np.transpose(g, (0, 2, 1)))
-    return s, (s * s).sum((1, 2))
+@by_dimension
+def _vreman(dofs, gradient, u, width, constant, out):
+    """c sqrt(B / g:g), B the sum of the principal minors of b = D^2 g^T g."""
+    g, b = np.empty((D, D)), np.empty((D, D))
+    for c in range(len(dofs)):
+        _velocity_gradient(gradient[c], u, dofs[c], D, g)
+        square, trace, norm = 0.0, 0.0, 0.0
+        for i in range(D):
+            for j in range(D):
+                total = 0.0
+                for m in range(D):
+                    total += g[m, i] * g[m, j]
+                b[i, j] = width[c] * width[c] * total
+                square += g[i, j] * g[i, j]
+                norm += b[i, j] * b[i, j]
+            trace += b[i, i]
+        out[c] = constant * np.sqrt(max(0.5 * (trace * trace - norm), 0.0) / max(square, 1e-300))
 
 
-class Smagorinsky:
+@by_dimension
+def _wale(dofs, gradient, u, width, constant, out):
+    """(C D)^2 (s:s)^(3/2) / ((S:S)^(5/2) + (s:s)^(5/4)), s the deviator of the symmetric part of g^2."""
+    g, q = np.empty((D, D)), np.empty((D, D))
+    for c in range(len(dofs)):
+        _velocity_gradient(gradient[c], u, dofs[c], D, g)
+        strain, size, trace = 0.0, 0.0, 0.0
+        for i in range(D):
+            for j in range(D):
+                s = 0.5 * (g[i, j] + g[j, i])
+                strain += s * s
+                total = 0.0
+                for k in range(D):
+                    total += g[i, k] * g[k, j]
+                q[i, j] = total
+            trace += q[i, i]
+        for i in range(D):
+            for j in range(D):
+                s = 0.5 * (q[i, j] + q[j, i]) - (trace / 3 if i == j else 0.0)
+                size += s * s
+        root = np.sqrt(size)
+        below = strain * strain * np.sqrt(strain) + size * np.sqrt(root)
+        out[c] = (constant * width[c]) ** 2 * size * root / max(below, 1e-300)
+
+
+class _Closure:
+    """An eddy viscosity with one constant and a loop over cells."""
+
+    def __init__(self, constant):
+        require_positive(f"{self.name} constant", constant)
+        self.constant = float(constant)
+
+    def __call__(self, fluid, u):
+        """(cells,) eddy viscosity [m^2/s]."""
+        out, width = np.empty(fluid.num_cells), fluid.h / (2 ** 0.5 if fluid.dimension == 2 else 6 ** (1 / 3))
+        self.loop(fluid.dofs, fluid.gradient, u, width, self.constant, out)
+        return out
+
+
+class Smagorinsky(_Closure):
     """nu_t = (C D)^2 sqrt(2 S:S) (Smagorinsky 1963); not zero in laminar shear or at walls.
 
     Args:
@@ -29,17 +103,13 @@ class Smagorinsky:
         ValueError: for a constant that is not positive.
     """
 
+    name, loop = "Smagorinsky", staticmethod(_smagorinsky)
+
     def __init__(self, constant=0.17):
-        require_positive("Smagorinsky constant", constant)
-        self.constant = float(constant)
-
-    def __call__(self, fluid, u):
-        """(cells,) eddy viscosity [m^2/s]."""
-        _, square = _strain(velocity_gradient(fluid, u))
-        return (self.constant * filter_width(fluid)) ** 2 * np.sqrt(2 * square)
+        super().__init__(constant)
 
 
-class Vreman:
+class Vreman(_Closure):
     """nu_t = c sqrt(B / g:g) with B the second invariant of D^2 g^T g (Vreman 2004); zero in plane shear.
 
     Args:
@@ -49,21 +119,13 @@ class Vreman:
         ValueError: for a constant that is not positive.
     """
 
+    name, loop = "Vreman", staticmethod(_vreman)
+
     def __init__(self, constant=0.07):
-        require_positive("Vreman constant", constant)
-        self.constant = float(constant)
-
-    def __call__(self, fluid, u):
-        """(cells,) eddy viscosity [m^2/s]."""
-        g = velocity_gradient(fluid, u)
-        beta = filter_width(fluid)[:, None, None] ** 2 * np.einsum("cmi,cmj->cij", g, g)
-        trace = np.einsum("cii->c", beta)
-        invariant = 0.5 * (trace ** 2 - (beta * beta).sum((1, 2)))
-        square = (g * g).sum((1, 2))
-        return self.constant * np.sqrt(np.maximum(invariant, 0.0) / np.maximum(square, 1e-300))
+        super().__init__(constant)
 
 
-class Wale:
+class Wale(_Closure):
     """Wall-adapting local eddy viscosity (Nicoud & Ducros 1999): grows with the cube of the distance from a wall.
 
     Args:
@@ -73,16 +135,7 @@ class Wale:
         ValueError: for a constant that is not positive.
     """
 
-    def __init__(self, constant=0.325):
-        require_positive("WALE constant", constant)
-        self.constant = float(constant)
+    name, loop = "WALE", staticmethod(_wale)
 
-    def __call__(self, fluid, u):
-        """(cells,) eddy viscosity [m^2/s]."""
-        g = velocity_gradient(fluid, u)
-        _, strain = _strain(g)
-        square = np.einsum("cik,ckj->cij", g, g)
-        deviator = 0.5 * (square + np.transpose(square, (0, 2, 1)))
-        deviator -= np.einsum("cii->c", square)[:, None, None] / 3 * np.eye(g.shape[1])
-        size = (deviator * deviator).sum((1, 2))
-        return (self.constant * filter_width(fluid)) ** 2 * size ** 1.5 / np.maximum(strain ** 2.5 + size ** 1.25, 1e-300)
+    def __init__(self, constant=0.325):
+        super().__init__(constant)
