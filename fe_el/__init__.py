@@ -4,6 +4,7 @@ Fluid: VolumeAveragedNavierStokes, SubCycled, Scalar, Probe, TimeAverage, ramp, 
     eddy viscosities Smagorinsky, Vreman, Wale; wall law Spalding; stabilisations Streamline, Upwind
 Particles: Particles, Inlet, LostParticle, Contacts; laws LinearSpringDashpot, HertzMindlin, RollingFriction, ArrayLaw;
     walls FacetWalls, PlaneWall, CylinderWall; Injector with FacetSource, DiscSource or PointSource; SizeDistribution
+    walls FacetWalls, PlaneWall, CylinderWall; MultiphasePIC with SolidsStress in the place of contacts
 Coupling: Coupling; forces Drag, PressureGradient, ViscousStress, Buoyancy, AddedMass, SaffmanLift, MagnusLift, Torque,
     UndisturbedVelocity and own ones; drag_laws; HelmholtzSmoothing, PatchAverage; OverlapVolume, SatellitePoints,
     ParticleCentred, HatKernel, WellMixed; time_scales
@@ -48,6 +49,8 @@ _NAMES = {
     "particles.particles": "Particles LostParticle",
     "particles.size_distribution": "SizeDistribution",
     "particles.sources": "FacetSource DiscSource PointSource",
+    "particles.multiphase_pic": "MultiphasePIC",
+    "particles.solids_stress": "SolidsStress",
     "run.checkpoint": "save_checkpoint load_checkpoint",
     "run.observers": "Probe TimeAverage",
     "run.paraview": "ParaViewOutput",

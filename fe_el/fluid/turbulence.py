@@ -7,7 +7,7 @@ import numpy as np
 
 from fe_el.checks import require_positive
 from fe_el.compiled.cache import njit
-from fe_el.compiled.for_each_dimension import FAST, D, M, by_dimension
+from fe_el.compiled.for_each_dimension import FAST, D, by_dimension
 
 
 @njit(fastmath=FAST)
