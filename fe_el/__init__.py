@@ -1,16 +1,17 @@
 """fe_el: finite-element fluid with Lagrangian particles on FEniCSx.
 
 Fluid: VolumeAveragedNavierStokes, SubCycled, Scalar, Probe, TimeAverage, ramp, SolverDiverged;
-    eddy viscosities Smagorinsky, Vreman, Wale; wall law Spalding; stabilisations Streamline, Upwind
+    eddy viscosities Smagorinsky, Vreman, Wale; wall law Spalding; stabilisations Streamline, Upwind;
+    turbulent inlets PowerLaw, LogLaw, SyntheticEddies
 Particles: Particles, Inlet, LostParticle, Contacts; laws LinearSpringDashpot, HertzMindlin, RollingFriction, ArrayLaw;
     walls FacetWalls, PlaneWall, CylinderWall; Injector with FacetSource, DiscSource or PointSource; SizeDistribution
     walls FacetWalls, PlaneWall, CylinderWall; MultiphasePIC with SolidsStress in the place of contacts
 Coupling: Coupling; forces Drag, PressureGradient, ViscousStress, Buoyancy, AddedMass, SaffmanLift, MagnusLift, Torque,
-    UndisturbedVelocity and own ones; drag_laws; HelmholtzSmoothing, PatchAverage; OverlapVolume, SatellitePoints,
-    ParticleCentred, HatKernel, WellMixed; time_scales
+    UndisturbedVelocity, TurbulentDispersion and own ones; drag_laws; HelmholtzSmoothing, PatchAverage; OverlapVolume,
+    SatellitePoints, ParticleCentred, HatKernel, WellMixed; time_scales
 Meshes: read_mesh, mesh_geo, box, periodic_box
 Running: time_steps, adaptive_steps, ParaViewOutput, stage_seconds, write_summary, save_checkpoint, load_checkpoint,
-    StopAndSave
+    StopAndSave; ParticleFieldAverage, ParticleProfile, PlaneFlux
 
 Every public call is collective unless it says otherwise; all numbers are in SI units.
 Names are loaded when first used, so a scene without fluid never imports the fluid.
@@ -23,6 +24,7 @@ from fe_el import dolfinx_api  # noqa: F401 (says at once when dolfinx is missin
 _NAMES = {
     "coupling.added_mass": "AddedMass",
     "coupling.coupling": "Coupling",
+    "coupling.dispersion": "TurbulentDispersion",
     "coupling.forces": "Drag PressureGradient ViscousStress Buoyancy",
     "coupling.lift_and_torque": "SaffmanLift MagnusLift Torque",
     "coupling.mapping": "SatellitePoints ParticleCentred HatKernel WellMixed",
@@ -30,6 +32,7 @@ _NAMES = {
     "coupling.smoothing": "HelmholtzSmoothing PatchAverage",
     "coupling.undisturbed": "UndisturbedVelocity",
     "fluid.boundary_values": "ramp",
+    "fluid.inlet_profiles": "PowerLaw LogLaw SyntheticEddies",
     "fluid.scalar": "Scalar",
     "fluid.stabilisation": "Streamline Upwind",
     "fluid.sub_cycling": "SubCycled",
@@ -53,6 +56,7 @@ _NAMES = {
     "particles.solids_stress": "SolidsStress",
     "run.checkpoint": "save_checkpoint load_checkpoint",
     "run.observers": "Probe TimeAverage",
+    "run.particle_observers": "ParticleFieldAverage ParticleProfile PlaneFlux",
     "run.paraview": "ParaViewOutput",
     "run.stopping": "StopAndSave",
     "run.summary": "write_summary stage_seconds",

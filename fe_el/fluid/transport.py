@@ -76,7 +76,8 @@ class Transport:
         share, stress = self.work.empty("share", self.num_cells), self.work.empty("stress", self.num_cells)
         cell_kernels.stress_of(phi0, phi, self.second_order, self.viscosity, self.stress_of_mixture, share, stress)
         if self.turbulence is not None:
-            stress += self.density * share * self.turbulence(self, u)
+            self.eddy_viscosity = self.turbulence(self, u)
+            stress += self.density * share * self.eddy_viscosity
         return share, stress
 
     def _transport_step(self, dt, phi0, phi, flux, q, u):

@@ -50,6 +50,7 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
             the cell means are taken in the middle of the step; ``None``: none.
         mass_source: volume of fluid per volume and time [1/s], that comes in with the local velocity only if ``body_force``
             says so; a number, (cells,), or a function; ``None``: none.
+        eddy_viscosity: (cells,) of the closure in the last step [m^2/s]; ``None``: none yet.
 
     Raises:
         ValueError: for cells that are not simplices, a density or viscosity out of range, or an unknown boundary group.
@@ -85,7 +86,7 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         self.mean_pressure_gradient, self.stress_of_mixture = mean.copy(), bool(stress_of_mixture)
         self.guess_order = 0  # of the extrapolation that pressure solves start from
         self.ready, self.step_flux, self._to_close, self._single_phase = False, None, 0, None
-        self.body_force = self.mass_source = None
+        self.body_force = self.mass_source = self.eddy_viscosity = None
         self.drag_known = False  # whether drag_gain holds what drag gave in the last step
 
     def memory_at_rest(self):
