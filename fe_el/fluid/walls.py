@@ -43,7 +43,7 @@ def unresolved_friction(facets, volume, stress, drag, coefficient, out):
     for f in range(len(facets.cell)):
         c, area = facets.cell[f], facets.size[f, 0]
         resolved = STRENGTH * stress[c] / facets.size[f, 2]
-        layer = max(np.sqrt(stress[c] * drag[c]) - resolved, 0.0)
+        layer = max(np.sqrt(stress[c] * max(drag[c], 0.0)) - resolved, 0.0)  # smoothing leaves some below zero
         if layer > 0.0:
             layer /= 1.0 - layer * area / (drag[c] * volume[c])
         coefficient[f] = max(layer, coefficient[f] - resolved) * area
