@@ -38,6 +38,57 @@ def positive_number(name, value):
     return float(value)
 
 
+def not_negative_number(name, value):
+    """One finite number, zero or above, as float."""
+    if numbers(name, value).ndim:
+        raise ValueError(f"The {name} is {_short(value)}; give one number, zero or above.")
+    require_not_negative(name, value)
+    return float(value)
+
+
+def finite_number(name, value):
+    """One finite number, as float."""
+    if numbers(name, value).ndim or not np.isfinite(value):
+        raise ValueError(f"The {name} is {_short(value)}; give one finite number.")
+    return float(value)
+
+
+def number_or_function(name, value):
+    """A finite number, or a function that gives one; a class is none."""
+    if callable(value) and not isinstance(value, type):
+        return value
+    if isinstance(value, type):
+        raise ValueError(f"The {name} is {_short(value)}; give a finite number, or a function of time.")
+    return finite_number(name, value)
+
+
+def components(name, value, dimension):
+    """As many finite numbers as there are dimensions (d,); of three in two dimensions the last is left out."""
+    v = numbers(name, value)
+    if v.shape not in ((dimension,), (3,)) or not np.isfinite(v).all():
+        raise ValueError(f"The {name} is {_short(v.tolist())}; give {dimension} finite numbers.")
+    return v[:dimension].copy()
+
+
+def function_of_mesh(name, value):
+    """The object itself, if it is a dolfinx Function."""
+    if not hasattr(value, "function_space") or not hasattr(value, "x"):
+        raise ValueError(f"The {name} is {_short(value)}; pass a dolfinx Function, for instance fluid.velocity.")
+    return value
+
+
+def function_or_class_of(name, value, example):
+    """The object itself, if it can be called; a class is refused, as its object was meant."""
+    if not callable(value) or isinstance(value, type):
+        raise ValueError(f"The {name} is {_short(value)}; pass {example}.")
+    return value
+
+
+def seed_number(value):
+    """A seed of random numbers, as int."""
+    return whole_number("seed of the random numbers (seed)", value, 0)
+
+
 def whole_number(name, value, least):
     """One whole number of at least ``least``, as int."""
     if numbers(name, value).ndim or not np.isfinite(value) or value != int(value) or value < least:
@@ -72,6 +123,17 @@ def per_particle(name, value, count):
     return np.broadcast_to(a, count).copy()
 
 
+def truth_values(name, value, count):
+    """An array (count,) of bool."""
+    try:
+        a = np.asarray(value)
+    except ValueError:  # numpy's own for ragged lists
+        a = np.asarray(None)
+    if a.dtype != bool or a.shape != (count,):
+        raise ValueError(f"The {name} is {_short(value)}; give one truth value for each of the {count} of this rank.")
+    return a
+
+
 def of_kind(name, value, *kinds):
     """The object itself, if it is of one of the kinds; a class is not."""
     if not isinstance(value, kinds):
@@ -90,7 +152,7 @@ def require_mesh(mesh):
 def same_mesh(name, other, mesh):
     """Raise ``ValueError`` if tags or a Function belong to another mesh than this."""
     if not is_of_mesh(other, mesh):
-        raise ValueError(f"The {name} belong to another mesh; pass those of the mesh of the particles.")
+        raise ValueError(f"The {name} belong to another mesh; pass those of the same mesh as the rest.")
 
 
 def require_tags(name, tags, mesh):

@@ -33,6 +33,7 @@ import math
 
 import numpy as np
 
+from fe_el.checks import not_negative_number
 from fe_el.compiled.cache import njit
 from fe_el.nodes.work_arrays import WorkArrays
 
@@ -49,9 +50,7 @@ class AddedMass:
     """
 
     def __init__(self, coefficient=None):
-        if coefficient is not None and not 0 <= coefficient < np.inf:
-            raise ValueError(f"The coefficient of added mass is {coefficient}; it must be finite and not negative.")
-        self.coefficient = coefficient
+        self.coefficient = None if coefficient is None else not_negative_number("coefficient of added mass", coefficient)
 
     def density(self, solid, fluid_density):
         """C rho (particles,) [kg/m^3] at solid fractions (particles,)."""

@@ -4,6 +4,7 @@ import inspect
 
 import numpy as np
 
+from fe_el.checks import numbers
 from fe_el.compiled.cache import njit
 from fe_el.coupling import drag_laws
 
@@ -71,7 +72,7 @@ class PressureGradient:
 
     def __init__(self, mean=(0.0, 0.0, 0.0)):
         self.mean = np.zeros(3)
-        mean = np.asarray(mean, float).ravel()
+        mean = numbers("mean pressure gradient", mean).ravel()
         if mean.size not in (2, 3) or not np.isfinite(mean).all():
             raise ValueError(f"The mean pressure gradient is {mean.tolist()}; give two or three finite numbers [Pa/m].")
         self.mean[:mean.size] = mean

@@ -3,6 +3,7 @@ one."""
 import numpy as np
 from mpi4py import MPI
 
+from fe_el.checks import numbers
 from fe_el.compiled.cache import njit
 from fe_el.coupling.overlap import OverlapVolume
 from fe_el.coupling.shares import ListedShares
@@ -132,7 +133,7 @@ class SatellitePoints(ListedShares):
 
     def __init__(self, points=None):
         super().__init__()
-        self.points = isotropic_points() if points is None else np.ascontiguousarray(points, float)
+        self.points = isotropic_points() if points is None else numbers("satellite points", points)
         if self.points.ndim != 2 or self.points.shape[1] != 3 or not (np.linalg.norm(self.points, axis=1) <= 1).all():
             raise ValueError(f"The satellite points have shape {self.points.shape}; give points (points, 3) inside a sphere "
                              f"of "

@@ -2,7 +2,7 @@
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from fe_el.checks import require_positive
+from fe_el.checks import positive_number, require_mesh, require_positive, whole_number
 from fe_el.compiled.cache import njit
 from fe_el.compiled.for_each_dimension import FAST, M, by_dimension
 from fe_el.nodes.nodal_kernels import scatter
@@ -88,8 +88,11 @@ class HelmholtzSmoothing:
     """
 
     def __init__(self, mesh, length, tolerance=1e-4):
-        require_positive("smoothing length", length)
-        self.length, self.nodes = float(length), Nodes(mesh)
+        require_mesh(mesh)
+        self.length = length = positive_number("smoothing length", length)
+        if not positive_number("tolerance of the smoothing", tolerance) < 1:
+            raise ValueError(f"The tolerance of the smoothing is {tolerance}; it must be between 0 and 1.")
+        self.nodes = Nodes(mesh)
         nodes, m = self.nodes, self.nodes.dofs.shape[1]
         matrix = NodalMatrix(nodes.space, nodes.dofs)
         stiffness = length ** 2 * np.einsum("cik,cjk,c->cij", nodes.gradient, nodes.gradient, nodes.volume)
@@ -168,9 +171,9 @@ class PatchAverage:
     """
 
     def __init__(self, mesh, repeats=1):
-        if repeats < 1:
-            raise ValueError(f"The number of repeats is {repeats}; it must be at least 1.")
-        self.nodes, self.repeats = Nodes(mesh), int(repeats)
+        require_mesh(mesh)
+        self.repeats = whole_number("number of repeats", repeats, 1)
+        self.nodes = Nodes(mesh)
         self.mass = self.nodes.node_halo.forward(self.nodes.load(np.ones((len(self.nodes.dofs), 1))))
 
     def __call__(self, field):

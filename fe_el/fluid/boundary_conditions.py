@@ -1,6 +1,7 @@
 """Boundary conditions of the fluid: facets and nodes of the tagged groups, and their values."""
 import numpy as np
 
+from fe_el.checks import function_or_class_of, number_or_function
 from fe_el.fluid import cell_kernels, node_kernels
 from fe_el.fluid.boundary_values import velocity_at, volume_flux
 from fe_el.fluid.walls import WallFriction, held_directions
@@ -69,8 +70,7 @@ class Boundaries:
 
     def _set(self, kind, groups, *what):
         """Give groups a condition, in place of what they had."""
-        for group in self._numbers(groups):
-            self._conditions[group] = kind, self.boundary(group), *what
+        self._conditions |= {group: (kind, self.boundary(group), *what) for group in self._numbers(groups)}  # all or none
         self.inlets, self.outlets, self.no_slip, self.slip = (
             [tuple(c[1:]) for c in self._conditions.values() if c[0] == k]
             for k in ("velocity", "pressure", "no slip", "slip"))
@@ -81,6 +81,8 @@ class Boundaries:
 
         Numbers that lead along a boundary and not through it make it a no-slip wall that moves with this velocity.
         """
+        for facets in map(self.boundary, self._numbers(groups)):
+            velocity_at(value, 0.0, facets.centre, self.dimension)  # refused for one, set for none
         for group in self._numbers(groups):
             facets = self.boundary(group)
             velocity = velocity_at(value, 0.0, facets.centre, self.dimension)
@@ -93,9 +95,7 @@ class Boundaries:
 
     def set_pressure(self, groups, value=0.0):
         """Pressure on outlets [Pa]: a number or a function of time. Fluid may enter there without bringing energy."""
-        if not callable(value) and not np.isfinite(value):
-            raise ValueError(f"The pressure is {value}; it must be finite [Pa].")
-        self._set("pressure", groups, value)
+        self._set("pressure", groups, number_or_function("pressure of an outlet", value))
 
     def set_no_slip(self, groups, velocity=None, law=None):
         """No-slip walls: no flow through them; friction as the mesh, the drag beside the wall or a wall law has it.
@@ -110,6 +110,8 @@ class Boundaries:
         Raises:
             ValueError: for a velocity that leads through the wall.
         """
+        if law is not None:
+            function_or_class_of("wall law", law, "an object such as Spalding(), or leave it out")
         for group in self._numbers(groups) if velocity is not None else ():
             facets = self.boundary(group)
             through = (velocity_at(velocity, self.time, facets.centre, self.dimension) * facets.area_normal).sum(1)

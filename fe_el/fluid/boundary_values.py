@@ -1,7 +1,7 @@
 """Velocities that users give on boundaries: checked, evaluated, integrated, ramped."""
 import numpy as np
 
-from fe_el.checks import require_positive
+from fe_el.checks import numbers, positive_number
 
 
 def volume_flux(facets, value, time, dimension):
@@ -16,15 +16,25 @@ def velocity_at(value, time, position, dimension):
     Raises:
         ValueError: if it has the wrong shape or is not finite.
     """
-    v = np.asarray(value(time, position) if callable(value) else value, float)
-    try:
-        v = np.broadcast_to(v, (len(position), dimension))
-    except ValueError:
+    if isinstance(value, type):
+        raise ValueError(f"The velocity is {value!r}; give {dimension} numbers, or a function (time, position).")
+    v = numbers("velocity", value(time, position) if callable(value) else value)
+    if v.shape not in ((dimension,), (len(position), dimension)):
         raise ValueError(f"The velocity has shape {v.shape}; give {dimension} numbers, or a function (time, position) "
-                         f"that returns an array (points, {dimension}).") from None
+                         f"that returns an array (points, {dimension}).")
+    v = np.broadcast_to(v, (len(position), dimension))
     if not np.isfinite(v).all():
         raise ValueError(f"The boundary velocity at time {time:g} is not finite; give finite numbers [m/s].")
     return v
+
+
+def check_fields(fields, cells, dimension):
+    """Raise ``ValueError`` unless these are the fields that a step takes: DG0 Functions for this rank's cells."""
+    sizes = [len(f.x.array) / width if hasattr(f, "x") else 0
+             for f, width in zip(fields, (1, 1, dimension, 1))] if isinstance(fields, (tuple, list)) else []
+    if len(sizes) not in (3, 4) or len(fields) > 4 or min(sizes) < cells or max(sizes) != min(sizes):
+        raise ValueError("The fields of a step are not void fraction, drag coefficient (DG0) and momentum source (DG0 "
+                         f"vector) of this mesh, but {str(fields)[:60]}; pass Coupling.fields, or Functions of such kind.")
 
 
 def ramp(value, duration):
@@ -36,7 +46,9 @@ def ramp(value, duration):
     Raises:
         ValueError: for a duration that is not positive.
     """
-    require_positive("duration of the ramp", duration)
+    duration = positive_number("duration of the ramp", duration)
+    if (not callable(value) or isinstance(value, type)) and not np.isfinite(numbers("velocity to ramp up to", value)).all():
+        raise ValueError(f"The velocity to ramp up to is {value}; give finite numbers [m/s].")
 
     def rising(time, position):
         s = min(max(time / duration, 0.0), 1.0)

@@ -2,6 +2,7 @@
 import numpy as np
 from mpi4py import MPI
 
+from fe_el.checks import positive_number
 from fe_el.fluid import kernels
 from fe_el.nodes.linear_solver import LinearSolver
 from fe_el.nodes.nodal_matrix import NodalMatrix
@@ -74,5 +75,5 @@ class Ledger:
 
     def courant(self, dt):
         """Largest Courant number |u| dt / h."""
-        q = self.velocity.x.array.reshape(-1, self.dimension)[:self.num_cells]
+        dt, q = positive_number("time step", dt), self.velocity.x.array.reshape(-1, self.dimension)[:self.num_cells]
         return self.comm.allreduce(dt * (np.linalg.norm(q, axis=1) / self.h).max(initial=0.0), op=MPI.MAX)

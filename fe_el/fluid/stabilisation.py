@@ -2,7 +2,7 @@
 stable."""
 import numpy as np
 
-from fe_el.checks import require_positive
+from fe_el.checks import positive_number
 from fe_el.compiled.cache import njit
 from fe_el.compiled.for_each_dimension import D, M, by_dimension
 from fe_el.fluid.kernels import fading_rate
@@ -71,8 +71,7 @@ class Streamline:
     upwind = False
 
     def __init__(self, factor=1.0):
-        require_positive("factor of Streamline", factor)
-        self.factor = float(factor)
+        self.factor = positive_number("factor of Streamline", factor)
 
     def __call__(self, air, share, flux, u, matrix, rhs):
         """Add the terms to the entries of a NodalMatrix and to the nodal right-hand side; collective."""

@@ -2,7 +2,9 @@
 import numpy as np
 from dolfinx import fem
 
+from fe_el.checks import of_kind, positive_number, whole_number
 from fe_el.dolfinx_api import scalar_space
+from fe_el.fluid.cells_and_nodes import CellsAndNodes
 
 
 class SubCycled:
@@ -35,13 +37,15 @@ class SubCycled:
     """
 
     def __init__(self, fluid, steps=None, courant=None, most=64):
+        of_kind("fluid", fluid, CellsAndNodes)
         if (steps is None) == (courant is None):
-            raise ValueError("Give either steps= or courant=.")
-        if steps is not None and not (steps == int(steps) and steps >= 1):
-            raise ValueError(f"steps is {steps}; it must be a whole number, 1 or more.")
-        if courant is not None and not (courant > 0 and most >= 1):
-            raise ValueError(f"courant is {courant} and most {most}; they must be greater than zero.")
-        self.fluid, self.steps, self.courant, self.most, self.steps_last = fluid, steps, courant, most, 0
+            raise ValueError(f"Give a sub-cycled fluid steps= or courant=, not steps={steps!r} and courant={courant!r}.")
+        if steps is not None:
+            steps = whole_number("number of steps in one (steps)", steps, 1)
+        if courant is not None:
+            courant = positive_number("largest Courant number (courant)", courant)
+        self.fluid, self.steps, self.courant, self.steps_last = fluid, steps, courant, 0
+        self.most = whole_number("largest number of steps in one (most)", most, 1)
         self._void_fraction = fem.Function(scalar_space(fluid.mesh, "DG", 0))
         self.mean_velocity = fem.Function(fluid.velocity.function_space, name="mean_velocity")
         self.mean_pressure = fem.Function(fluid.space, name="mean_pressure")

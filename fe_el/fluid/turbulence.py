@@ -5,7 +5,7 @@ A closure is any callable ``closure(fluid, u)`` that gives the (cells,) eddy vis
 """
 import numpy as np
 
-from fe_el.checks import require_positive
+from fe_el.checks import positive_number
 from fe_el.compiled.cache import njit
 from fe_el.compiled.for_each_dimension import FAST, D, by_dimension
 
@@ -83,8 +83,7 @@ class _Closure:
     """An eddy viscosity with one constant and a loop over cells."""
 
     def __init__(self, constant):
-        require_positive(f"{self.name} constant", constant)
-        self.constant = float(constant)
+        self.constant = positive_number(f"{self.name} constant", constant)
 
     def __call__(self, fluid, u):
         """(cells,) eddy viscosity [m^2/s]."""

@@ -2,7 +2,7 @@
 has."""
 import numpy as np
 
-from fe_el.checks import require_positive
+from fe_el.checks import positive_number
 from fe_el.compiled.cache import njit
 
 
@@ -42,9 +42,8 @@ class Spalding:
     """
 
     def __init__(self, kappa=0.4, constant=5.5):
-        require_positive("von Karman's constant", kappa)
-        require_positive("constant of the wall law", constant)
-        self.kappa, self.constant = float(kappa), float(constant)
+        self.kappa = positive_number("von Karman's constant (kappa)", kappa)
+        self.constant = positive_number("constant of the wall law", constant)
 
     def __call__(self, speed, distance, density, viscosity):
         """Wall stress over speed (facets,) [Pa s/m] at speeds (facets,) [m/s] along the wall and distances (facets,) [m]

@@ -5,6 +5,7 @@ import numpy as np
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
+from fe_el.checks import numbers
 from fe_el.dolfinx_api import geometry_nodes
 from fe_el.mesh.partition import create_mesh
 
@@ -13,9 +14,11 @@ SIDES = {"x-": 1, "x+": 2, "y-": 3, "y+": 4, "z-": 5, "z+": 6}
 
 def check_box(lengths, cells):
     """Raise ``ValueError`` unless there are 2 or 3 positive lengths and as many positive numbers of cells."""
-    d = len(lengths)
-    if d not in (2, 3) or len(cells) != d or not np.all(np.array(lengths, float) > 0) or min(cells) < 1:
-        raise ValueError(f"The box has lengths {list(lengths)} and cells {list(cells)}; give 2 or 3 positive numbers each.")
+    size, number = numbers("lengths of the box", lengths), numbers("cells of the box", cells)
+    if size.shape not in ((2,), (3,)) or number.shape != size.shape or not (size > 0).all() or not np.isfinite(size).all() \
+            or not (number >= 1).all() or (number % 1).any():
+        raise ValueError(f"The box has lengths {size.tolist()} and cells {number.tolist()}; give 2 or 3 positive numbers "
+                         "each, whole ones for the cells.")
 
 
 def _on_side(k, at, tolerance, x):

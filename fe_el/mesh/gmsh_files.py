@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from fe_el.checks import positive_number
+from fe_el.checks import finite_number, positive_number
 from fe_el.dolfinx_api import tags_by_vertices
 from fe_el.mesh.partition import create_mesh
 from fe_el.parallel.failures import end_all_ranks_on_errors
@@ -26,7 +26,9 @@ def read_mesh(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None, scale=1
     """
     import gmsh
     end_all_ranks_on_errors(comm)
-    scale = positive_number("scale of the mesh", scale)
+    scale, dimension = positive_number("scale of the mesh", scale), _dimension(dimension)
+    if not isinstance(path, (str, Path)):
+        raise ValueError(f"The path of a mesh is {path!r}; give the name of a gmsh .msh file.")
     if not Path(path).is_file():
         raise FileNotFoundError(f"There is no mesh file {path}; give the path of a gmsh .msh file.")
     message = None
@@ -50,6 +52,10 @@ def mesh_geo(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None, **parame
     """
     import gmsh
     end_all_ranks_on_errors(comm)
+    dimension = _dimension(dimension)
+    parameters = {name: finite_number(f"parameter {name} of the geometry", value) for name, value in parameters.items()}
+    if not isinstance(path, (str, Path)):
+        raise ValueError(f"The path of a geometry is {path!r}; give the name of a gmsh .geo file.")
     if not Path(path).is_file():
         raise FileNotFoundError(f"There is no geometry file {path}; give the path of a gmsh .geo file.")
     blocks = re.findall(r"DefineConstant\s*\[(.*?)\]", Path(path).read_text(), re.DOTALL)
@@ -60,11 +66,18 @@ def mesh_geo(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None, **parame
     if comm.rank == 0:
         gmsh.initialize(["fe_el", "-v", "0"])
         with tempfile.TemporaryDirectory() as folder:  # numbers on gmsh's command line would stay in force until Python ends
-            lines = [f"{name} = {float(value)!r};\n" for name, value in parameters.items()]
+            lines = [f"{name} = {value!r};\n" for name, value in parameters.items()]
             (Path(folder) / "scene.geo").write_text("".join(lines) + f'Include "{Path(path).resolve()}";\n')
             gmsh.open(str(Path(folder) / "scene.geo"))
         gmsh.model.mesh.generate(dimension)
     return _from_gmsh(gmsh, comm, dimension, slices_along)
+
+
+def _dimension(value):
+    """2 or 3."""
+    if not isinstance(value, int) or value not in (2, 3):
+        raise ValueError(f"The dimension of the mesh is {value!r}; it must be 2 or 3.")
+    return value
 
 
 def _end_if(gmsh, comm, message):

@@ -17,8 +17,8 @@ def slices_of(centre, vertex, axis):
     Raises:
         ValueError: for an axis that the mesh does not have.
     """
-    if not 0 <= axis < centre.shape[1]:
-        raise ValueError(f"slices_along is {axis}; the mesh has axes 0 to {centre.shape[1] - 1}.")
+    if not isinstance(axis, (int, np.integer)) or not 0 <= axis < centre.shape[1]:
+        raise ValueError(f"slices_along is {axis!r}; the mesh has axes 0 to {centre.shape[1] - 1}.")
 
     def destinations(ranks):
         n = len(centre)

@@ -88,7 +88,8 @@ def boundary_near(particles, lower, upper, reach):
 
 def displacements(count, dimension, largest, seed):
     """Random displacements (count, dimension) of at most ``largest`` [m] along each axis."""
-    checks.require_not_negative("displacement", largest)
+    checks.not_negative_number("displacement", largest)
+    seed = checks.seed_number(seed)
     return np.random.default_rng(seed).uniform(-1, 1, (count, dimension)) * largest
 
 
@@ -102,7 +103,7 @@ def random_positions(lower, upper, count, diameter, seed, without_overlap, perio
     if not (upper >= lower).all():
         raise ValueError(f"The box from {lower.tolist()} to {upper.tolist()} is empty; give lower <= upper.")
     diameter = checks.per_particle("diameter", diameter, count)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(checks.seed_number(seed))
     if not without_overlap:
         return lower + rng.random((count, len(lower))) * (upper - lower)
     radius = diameter / 2

@@ -3,7 +3,15 @@ import numpy as np
 from mpi4py import MPI
 from scipy.spatial import cKDTree
 
-from fe_el.checks import finite_vector, of_kind, positive_number, require_positive, require_tags
+from fe_el.checks import (
+    finite_vector,
+    of_kind,
+    positive_number,
+    require_positive,
+    require_tags,
+    seed_number,
+    whole_number,
+)
 from fe_el.compiled.cache import njit
 from fe_el.mesh import cell_mesh as _mesh
 from fe_el.particles.contacts.walls import facet_balls, facet_frames, nearest_point
@@ -159,8 +167,14 @@ class Inlet:
         of_kind("particles", particles, Particles)
         require_tags("facet tags of an inlet", facet_tags, particles.mesh)
         mass_rate = positive_number("mass rate", mass_rate)
-        if not callable(diameter):
+        if not callable(diameter) or isinstance(diameter, type):
             require_positive("diameter", diameter)
+        tries, seed = whole_number("number of tries", tries, 1), seed_number(seed)
+        for name in kind:
+            if name not in ("material", "coarse_graining"):
+                raise ValueError(f"An inlet has no argument {name!r}; its particles may have material and coarse_graining.")
+        whole_number("material", kind.get("material", 0), 0)
+        positive_number("coarse graining", kind.get("coarse_graining", 1.0))
         self.particles, self.mass_rate, self.diameter = particles, mass_rate, diameter
         self.tries, self.kind = tries, kind
         self.density = positive_number("density", particles.default_density if density is None else density)

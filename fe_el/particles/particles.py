@@ -1,7 +1,7 @@
 """The particles: a structure of arrays on the cells of a mesh, each particle owned by the rank of its cell."""
 import numpy as np
 
-from fe_el.checks import finite_vector, numbers, positive_number, require_mesh, require_positive, require_tags
+from fe_el.checks import finite_vector, numbers, positive_number, require_mesh, require_positive, require_tags, truth_values
 from fe_el.mesh import cell_mesh as _mesh
 from fe_el.parallel.exchange import largest_of, move, raise_everywhere
 from fe_el.parallel.failures import end_all_ranks_on_errors
@@ -394,7 +394,7 @@ class Particles:
         Note:
             Collective.
         """
-        self.held[slice(None) if mask is None else np.asarray(mask, bool)] = True
+        self.held[slice(None) if mask is None else truth_values("mask of particles", mask, len(self))] = True
         for name in ("velocity", "angular_velocity", "mean_contact_force", "relaxation_rate"):
             getattr(self, name)[self.held] = 0.0
         self.layout += 1
@@ -405,7 +405,7 @@ class Particles:
         Note:
             Collective.
         """
-        self.held[slice(None) if mask is None else np.asarray(mask, bool)] = False
+        self.held[slice(None) if mask is None else truth_values("mask of particles", mask, len(self))] = False
         self.layout += 1
 
     def all_held(self):

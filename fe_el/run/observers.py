@@ -1,6 +1,8 @@
 """What one wants to know of a run: values at points, time averages and variances of fields."""
 import numpy as np
 
+from fe_el import checks
+from fe_el.checks import function_of_mesh, positive_number, same_mesh
 from fe_el.dolfinx_api import dof_table, element_of
 from fe_el.mesh.cell_mesh import barycentric_maps, owned_corners
 
@@ -23,11 +25,14 @@ class Probe:
     """
 
     def __init__(self, functions, points):
-        self.functions, self.rows = list(functions), []
+        if not isinstance(functions, (list, tuple)) or not functions:
+            raise ValueError(f"The functions of a probe are {str(functions)[:60]!r}; give a list of at least one Function.")
+        self.functions, self.rows = [function_of_mesh("function of a probe", f) for f in functions], []
         mesh = self.functions[0].function_space.mesh
+        for f in self.functions:
+            same_mesh("functions of a probe", f, mesh)
         self.comm, d = mesh.comm, mesh.topology.dim
-        x = np.zeros((len(points), 3))
-        x[:, :np.shape(points)[1]] = points
+        x = checks.points("points of a probe", points)
         corner, _ = owned_corners(mesh)
         maps, _ = barycentric_maps(corner, d)
         self.number, self.cell = len(x), np.full(len(x), -1)
@@ -91,11 +96,12 @@ class TimeAverage:
     """
 
     def __init__(self, function):
-        self.function, self.duration = function, 0.0
+        self.function, self.duration = function_of_mesh("function to average", function), 0.0
         self.mean, self._sum = np.zeros_like(function.x.array), np.zeros_like(function.x.array)
 
     def add(self, dt):
         """Add the present values with weight ``dt`` [s]."""
+        dt = positive_number("time step", dt)
         self.duration += dt
         change = self.function.x.array - self.mean
         self.mean += change * dt / self.duration

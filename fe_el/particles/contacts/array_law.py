@@ -1,7 +1,7 @@
 """Contact laws that are plain array functions of the user's."""
 import numpy as np
 
-from fe_el.checks import require_positive
+from fe_el.checks import positive_number
 from fe_el.compiled.direct_calls import Direct
 from fe_el.particles.contacts.pair_forces import scatter_arrays, touching_pairs
 
@@ -27,8 +27,7 @@ class ArrayLaw:
         if not callable(function):
             raise ValueError(  # noqa: TRY004
                 f"The contact law is {function!r}; pass a function of arrays.")
-        require_positive("contact time", contact_time)
-        self.function, self._contact_time = function, float(contact_time)
+        self.function, self._contact_time = function, positive_number("contact time", contact_time)
 
     def contact_time(self, reduced_mass, reduced_radius=None, speed=None):
         """Duration of the shortest collision [s]."""
