@@ -25,6 +25,14 @@ class Ledger:
         self.bed, self.seconds = bed, {"records": 0.0}
         self.solid, self.momentum, self.mass, self.fullest = 0.0, 0.0, 0.0, 0.0
 
+    def saved(self):
+        """The largest errors so far, for a checkpoint."""
+        return {"same": (None, {"largest": np.array([self.solid, self.momentum, self.mass, self.fullest])})}
+
+    def restore(self, state):
+        """Take them back."""
+        self.solid, self.momentum, self.mass, self.fullest = state["same"]["largest"].tolist()
+
     def record(self, each, now):
         """The balances of the step just made, and what the demo itself records of it."""
         tick = time.perf_counter()
@@ -45,32 +53,39 @@ class Ledger:
                 "max_solid_fraction": self.fullest, "over_filled_cells": self.bed.coupling.over_filled_total}
 
 
-def run(bed, dt, end_time, out, each, every=10, start=0.0, after=None, progress=True):
-    """Advance a bed to ``end_time``.
+def run(bed, end_time, out, each, restarts, every=10, kept=(), after=None, progress=True):
+    """Advance a bed to ``end_time``, from the start or from a checkpoint.
 
     Args:
-        out: ParaViewOutput, or ``None``.
+        out: ParaViewOutput.
         each: called with the time at every ``every``-th step and the last, where the ledger is looked at too.
+        restarts (Restarts): when the state is written, and what the run goes on from.
+        kept: what of the demo checkpoints keep, too.
         after: called with the time after every step; ``None``: nothing.
 
     Returns:
         dict: ledger, wall time, seconds of every stage and of what is in none, lost beads.
     """
     beads, contacts, air, coupling = bed
-    ledger, number = Ledger(bed), beads.total_number
+    ledger, dt = Ledger(bed), restarts.dt
+    checkpoints = restarts.checkpoints(beads, contacts, air, coupling, out, ledger, *kept)
+    number, first = beads.next_id, 1 + round(checkpoints.time / dt)
     before, tick = fe_el.stage_seconds(contacts, air, coupling, out, ledger)["seconds_per_stage"], time.perf_counter()
-    for step, now in enumerate(fe_el.time_steps(dt, end_time, start, progress=progress), 1):
-        if air is not None:
-            coupling.to_fluid(dt)
-            air.advance(dt, coupling.fields)
-            coupling.to_particles(dt)
-        beads.advance(dt, contacts)
-        if step % every == 0 or now > end_time - 0.5 * dt:
-            ledger.record(each, now)
-        if out is not None:
+    with checkpoints:
+        for step, now in enumerate(restarts.steps(checkpoints.time, end_time, progress), first):
+            if air is not None:
+                coupling.to_fluid(dt)
+                air.advance(dt, coupling.fields)
+                coupling.to_particles(dt)
+            beads.advance(dt, contacts)
+            if step % every == 0 or now > end_time - 0.5 * dt:
+                ledger.record(each, now)
             out.write(now)
-        if after is not None:
-            after(now)
+            if after is not None:
+                after(now)
+            checkpoints.after(now)
+        if restarts.every:
+            checkpoints.save()  # of the end, from which a longer run can go on
     wall = time.perf_counter() - tick
     stages = fe_el.stage_seconds(contacts, air, coupling, out, ledger)["seconds_per_stage"]
     stages = {name: round(seconds - before[name], 6) for name, seconds in stages.items()}
@@ -110,6 +125,17 @@ class Averages:
         shape = len(rows) // 2, len(columns) - 1
         self.volume, self.flux, self.squares = np.zeros(shape), np.zeros(shape), np.zeros(shape)
         self.points = fe_el.mapping.isotropic_points()
+
+    def saved(self):
+        """Sums of all ranks so far, for a checkpoint."""
+        volume, flux = (self.beads.comm.allreduce(a) for a in (self.volume, self.flux))
+        return {"same": (None, {"volume": volume, "flux": flux, "count": self.count})}
+
+    def restore(self, state):
+        """Take them back, on the first rank."""
+        same, first = state["same"], self.beads.comm.rank == 0
+        self.volume[:], self.flux[:] = (same[name] if first else 0.0 for name in ("volume", "flux"))
+        self.count = int(same["count"])
 
     def add(self):
         """Add the present state; collective only in the end."""

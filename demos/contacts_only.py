@@ -1,6 +1,7 @@
 """Discharge of a flat silo with a hopper: dry beads, walls of mesh facets, an outlet; no fluid is imported."""
 import argparse
 import logging
+import sys
 import time
 from pathlib import Path
 
@@ -9,6 +10,9 @@ import numpy as np
 from mpi4py import MPI
 
 import fe_el
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from demos import restarts
 
 matplotlib.use("Agg")
 OUTLET, WALL = 2, 3
@@ -32,12 +36,13 @@ def arguments():
     p.add_argument("--output-every", type=float, default=0.05, help="time between ParaView outputs [s]")
     p.add_argument("--seed", type=int, default=1, help="seed of sizes and places")
     p.add_argument("--output", default="out/contacts_only", help="folder for results")
+    restarts.add_arguments(p)
     return p
 
 
 def main(diameter=2.5e-3, particles=6000, slot=0.02, stiffness=2000.0, friction=0.3, rolling_friction=0.0, restitution=0.7,
          settle_time=0.3, end_time=1.0, time_step=1e-3, output_every=0.05, seed=1, output="out/contacts_only",
-         progress=True):
+         checkpoint_every=None, restart=None, wall_time=None, progress=True):
     """Fill the silo, open the outlet, and return the summary."""
     if not 0 < slot < WIDTH:
         raise ValueError(f"--slot is {slot}; give a width between 0 and that of the silo, {WIDTH} m.")
@@ -45,25 +50,33 @@ def main(diameter=2.5e-3, particles=6000, slot=0.02, stiffness=2000.0, friction=
     folder = Path(__file__).resolve().parent.parent / "meshes"
     mesh, _, tags = fe_el.mesh_geo(folder / "hopper.geo", width=WIDTH, depth=DEPTH, bin=BIN + 0.1, cone=CONE, slot=slot)
     beads = fe_el.Particles(mesh, DENSITY, gravity=(0, 0, -GRAVITY))
+    keep = restarts.Restarts(output, time_step, checkpoint_every, restart, wall_time)
     sizes = diameter * np.random.default_rng(seed).uniform(0.9, 1.1, particles)
-    beads.insert_on_lattice((0, 0, CONE), (WIDTH, DEPTH, CONE + BIN + 0.1), sizes, seed=seed)
+    if not keep.going_on():
+        beads.insert_on_lattice((0, 0, CONE), (WIDTH, DEPTH, CONE + BIN + 0.1), sizes, seed=seed)
     rolling = fe_el.RollingFriction(rolling_friction) if rolling_friction else None
     law = fe_el.LinearSpringDashpot(stiffness, restitution, friction, rolling=rolling)
     walls = [fe_el.FacetWalls(tags, WALL)]
     closed = fe_el.Contacts(beads, law, [*walls, fe_el.FacetWalls(tags, OUTLET)], steps_per_contact=30)
     open_ = fe_el.Contacts(beads, law, walls, steps_per_contact=30)
     out = fe_el.ParaViewOutput(output, beads, every=output_every)
-    start, rows, total, resting, last = time.perf_counter(), [], beads.comm.allreduce(beads.mass.sum()), None, closed
-    with out:
-        for now in fe_el.time_steps(time_step, end_time, progress=progress):
+    start, rows, resting = time.perf_counter(), restarts.Rows(), restarts.Kept()
+    checkpoints = keep.checkpoints(beads, closed, open_, out, rows, resting)
+    total, last = beads.comm.allreduce(beads.mass.sum()) + beads.left_mass, closed
+    if checkpoints.time > settle_time:
+        beads.remove_at(tags, OUTLET)
+        last = open_
+    with out, checkpoints:
+        for now in keep.steps(checkpoints.time, end_time, progress):
             contacts = closed if now <= settle_time else open_
             if contacts is not last:
-                resting = gather(beads)
+                resting.update(gather(beads))
                 beads.remove_at(tags, OUTLET)
                 last = contacts
             beads.advance(time_step, contacts)
             rows.append((now, beads.left_mass, beads.kinetic_energy()))
             out.write(now)
+            checkpoints.after(now)
     rows, wall_time = np.array(rows), time.perf_counter() - start
     rate = discharge_rate(rows, settle_time)
     bulk = 0.6 * DENSITY
@@ -96,7 +109,8 @@ def discharge_rate(rows, settle_time):
 def gather(beads):
     """Positions, diameters and speeds of all beads on the first rank."""
     parts = beads.comm.gather((beads.position, beads.diameter, np.linalg.norm(beads.velocity, axis=1)))
-    return [np.concatenate([p[i] for p in parts]) for i in range(3)] if parts else None
+    names = ("position", "diameter", "speed") if parts else ()
+    return {name: np.concatenate([p[i] for p in parts]) for i, name in enumerate(names)}
 
 
 def picture(output, rows, resting, shown, numbers):
@@ -104,8 +118,8 @@ def picture(output, rows, resting, shown, numbers):
     from matplotlib import pyplot as plt
     figure, axes = plt.subplots(1, 3, figsize=(12, 5.5), gridspec_kw={"width_ratios": [1, 1.2, 1.4]})
     for axis, state, title in ((axes[0], resting, "before opening"), (axes[1], shown, "in the end")):
-        if state is not None and len(state[0]):
-            x, d, v = state
+        if state and len(state["position"]):
+            x, d, v = (state[name] for name in ("position", "diameter", "speed"))
             order = np.argsort(-x[:, 1])
             mark = axis.scatter(x[order, 0], x[order, 2], s=(d[order] * 1e3) ** 2 * 3, c=v[order], cmap="viridis", lw=0)
             if axis is axes[1]:

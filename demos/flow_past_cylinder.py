@@ -2,6 +2,7 @@
 shedding)."""
 import argparse
 import logging
+import sys
 import time
 from pathlib import Path
 
@@ -10,6 +11,9 @@ import numpy as np
 from mpi4py import MPI
 
 import fe_el
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from demos import restarts
 
 matplotlib.use("Agg")
 INLET, OUTLET, WALLS, CYLINDER = 1, 2, 3, 4
@@ -31,6 +35,7 @@ def arguments():
     p.add_argument("--end-time", type=float, default=8.0, help="[s]")
     p.add_argument("--output-every", type=float, default=0.5, help="time between ParaView outputs [s]")
     p.add_argument("--output", default="out/flow_past_cylinder", help="folder for results")
+    restarts.add_arguments(p)
     return p
 
 
@@ -65,21 +70,23 @@ def strouhal_number(times, lift, mean):
 
 
 def main(reynolds=100.0, around=64, size=0.04, growth=0.1, time_step=0.01, end_time=8.0, output_every=0.5,
-         output="out/flow_past_cylinder", progress=True):
+         output="out/flow_past_cylinder", checkpoint_every=None, restart=None, wall_time=None, progress=True):
     """Run the flow and return the summary."""
     logging.getLogger().setLevel(logging.WARNING)
     air, mean = channel(reynolds, around, size, growth)
     comm, scale = air.comm, 2 / (mean ** 2 * DIAMETER)
     probe = fe_el.Probe([air.pressure], [(0.15, 0.2), (0.25, 0.2)])
     out = fe_el.ParaViewOutput(output, None, [air.velocity, air.pressure], output_every)
-    rows, start = [], time.perf_counter()
-    with out:
-        for now in fe_el.time_steps(time_step, end_time, progress=progress):
+    keep, rows = restarts.Restarts(output, time_step, checkpoint_every, restart, wall_time), restarts.Rows()
+    checkpoints, start = keep.checkpoints(air, out, rows), time.perf_counter()
+    with out, checkpoints:
+        for now in keep.steps(checkpoints.time, end_time, progress):
             air.advance(time_step)
             drag, lift = scale * sum(air.boundary_force(CYLINDER))
             front, back = probe.values()[0][:, 0]
             rows.append((now, drag, lift, front - back))
             out.write(now)
+            checkpoints.after(now)
     times, drag, lift, difference = np.array(rows).T
     late = times > 0.75 * end_time
     numbers = {

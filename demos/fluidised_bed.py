@@ -12,7 +12,7 @@ from mpi4py import MPI
 import fe_el
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from demos import bed_runs
+from demos import bed_runs, restarts
 
 matplotlib.use("Agg")
 WIDTH, DEPTH, HEIGHT = 0.15, 0.015, 0.45
@@ -34,13 +34,12 @@ def arguments():
     p.add_argument("--steps-per-contact", type=int, default=12, help="contact steps in the shortest contact")
     p.add_argument("--cell-size", type=float, default=0.0075, help="edge length of the tetrahedra [m]")
     p.add_argument("--output-every", type=float, default=0.05, help="time between ParaView outputs [s]")
-    p.add_argument("--checkpoint-every", type=float, help="time between checkpoints, OUTPUT/checkpoint.h5 [s]; absent: none")
-    p.add_argument("--restart", help="checkpoint to go on from, of a run with the same slice and cell size")
     p.add_argument("--record-every", type=int, default=10, help="steps between records of pressure, heights and ledger")
     p.add_argument("--report", action="store_true",
                    help="error against wall time over step, steps in a contact and cell size")
     p.add_argument("--seed", type=int, default=1, help="seed of the initial mixture")
     p.add_argument("--output", default="out/fluidised_bed", help="folder for results")
+    restarts.add_arguments(p)
     return p
 
 
@@ -104,6 +103,23 @@ class Record:
 
     def __init__(self, bed, end_time):
         self.bed, self.rows, self.snapshots, self.times = bed, [], [], list(end_time * np.array([0.25, 0.5, 0.75, 1.0]))
+        self.until = 0.0
+
+    def saved(self):
+        """Rows and snapshots so far, for a checkpoint; the first rank has them."""
+        shots = {f"{name}_{k}": value for k, shot in enumerate(self.snapshots) for name, value in shot.items()}
+        return {"same": (None, {"rows": np.array(self.rows, float), "snapshots": len(self.snapshots), "until": self.until,
+                                **shots})}
+
+    def restore(self, state):
+        """Take them back; only what comes later is taken anew."""
+        same = state["same"]
+        self.rows = [tuple(row) for row in same["rows"]]
+        if self.bed.beads.comm.rank == 0:
+            self.snapshots = [{name: same[f"{name}_{k}"] for name in ("time", "position", "velocity", "diameter")}
+                              for k in range(int(same["snapshots"]))]
+        self.until = float(same["until"])
+        self.times = [t for t in self.times if t > self.until]
 
     def __call__(self, now):
         beads, _, air, _ = self.bed
@@ -112,7 +128,8 @@ class Record:
 
     def snapshot(self, now, step):
         """Keep the beads at four instants."""
-        if self.times and now > self.times[0] - 0.5 * step:
+        self.until = now + 0.5 * step
+        if self.times and self.until > self.times[0]:
             self.times.pop(0)
             parts = bed_runs.gathered(self.bed.beads, "position", "velocity", "diameter")
             if parts is not None:
@@ -120,34 +137,26 @@ class Record:
 
 
 def main(superficial_velocity=1.3, end_time=1.0, time_step=1e-3, slice=1.0, drag="beetstra", stiffness=500.0,
-         steps_per_contact=12, cell_size=0.0075, output_every=0.05, checkpoint_every=None, restart=None, record_every=10,
-         report=False, seed=1, output="out/fluidised_bed", progress=True):
+         steps_per_contact=12, cell_size=0.0075, output_every=0.05, checkpoint_every=None, restart=None, wall_time=None,
+         record_every=10, report=False, seed=1, output="out/fluidised_bed", progress=True):
     """Run the bed and return the summary."""
     if not 0 < slice <= 1:
         raise ValueError(f"--slice is {slice}; give a fraction of the bed's width in (0, 1].")
-    if checkpoint_every is not None and not checkpoint_every >= time_step:
-        raise ValueError(f"--checkpoint-every is {checkpoint_every}; give at least a time step of {time_step} s.")
     if record_every < 1:
         raise ValueError(f"--record-every is {record_every}; give a number of steps, 1 or more.")
     logging.getLogger().setLevel(logging.WARNING)
+    keep = restarts.Restarts(output, time_step, checkpoint_every, restart, wall_time)
     bed = assemble(superficial_velocity, slice, drag, stiffness, steps_per_contact, cell_size)
-    beads, contacts, air, coupling = bed
-    if restart is None:
+    beads, _, air, coupling = bed
+    if not keep.going_on():
         fill(beads, slice, seed)
-    parts, begin, area = [beads, contacts] + ([air] if air else []), 0.0, WIDTH * slice * DEPTH
-    if restart is not None:
-        begin = float(fe_el.load_checkpoint(restart, *parts)["time"])
-    weight = beads.comm.allreduce(beads.mass.sum()) * GRAVITY / area
+    area = WIDTH * slice * DEPTH
     out = fe_el.ParaViewOutput(output, beads, [air.velocity, air.pressure, coupling.fields[0]] if air else [], output_every)
-    record, saved = Record(bed, end_time), [begin + (checkpoint_every or np.inf)]
-
-    def after(now):
-        record.snapshot(now, time_step)
-        if now > saved[0] - 0.5 * time_step:
-            fe_el.save_checkpoint(Path(output) / "checkpoint.h5", *parts, time=now)
-            saved[0] += checkpoint_every
+    record = Record(bed, end_time)
     with out:
-        numbers = bed_runs.run(bed, time_step, end_time, out, record, record_every, begin, after, progress)
+        numbers = bed_runs.run(bed, end_time, out, record, keep, record_every, [record],
+                               lambda now: record.snapshot(now, time_step), progress)
+    weight = beads.comm.allreduce(beads.mass.sum()) * GRAVITY / area
     numbers |= {"slice": slice, "cells": beads.comm.allreduce(beads.cells.owned),
                 "superficial_velocity": superficial_velocity,
                 "steps_per_contact": steps_per_contact, "bed_weight_per_area": weight}

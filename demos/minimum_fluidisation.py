@@ -23,7 +23,7 @@ from mpi4py import MPI
 import fe_el
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from demos import bed_runs
+from demos import bed_runs, restarts
 
 matplotlib.use("Agg")
 RADIUS, HEIGHT, GRAVITY = 0.01385, 0.04, 9.81
@@ -45,6 +45,7 @@ def arguments():
     p.add_argument("--drag", default="ergun", help="name of the drag law (ergun)")
     p.add_argument("--seed", type=int, default=1, help="seed of the first positions (1)")
     p.add_argument("--output", default="out/minimum_fluidisation", help="folder for results (out/minimum_fluidisation)")
+    restarts.add_arguments(p)
     return p
 
 
@@ -94,17 +95,18 @@ def bed_state(beads, area, velocity):
 
 
 def main(largest_velocity=0.024, ramp_time=1.5, settle_time=0.25, number=10_000, cell_size=0.003, time_step=1e-3,
-         steps_per_contact=20,
-         stiffness=50.0, drag="ergun", seed=1, output="out/minimum_fluidisation", progress=True):
+         steps_per_contact=20, stiffness=50.0, drag="ergun", seed=1, output="out/minimum_fluidisation",
+         checkpoint_every=None, restart=None, wall_time=None, progress=True):
     """Ramp the gas up and down and return the summary."""
     logging.getLogger().setLevel(logging.WARNING)
     mesh, _, tags = fe_el.mesh_geo(Path(__file__).resolve().parent.parent / "meshes" / "column.geo", size=cell_size)
-    down = (0.0, 0.0, -GRAVITY)
-    beads = fe_el.Particles(mesh, BEAD_DENSITY, down)
-    beads.insert_at(first_positions(number, seed), DIAMETER)
+    keep, down = restarts.Restarts(output, time_step, checkpoint_every, restart, wall_time), (0.0, 0.0, -GRAVITY)
+    beads, going_on = fe_el.Particles(mesh, BEAD_DENSITY, down), keep.going_on()
+    if not going_on:
+        beads.insert_at(first_positions(number, seed), DIAMETER)
     law = fe_el.LinearSpringDashpot(stiffness, restitution=0.3, friction=0.5)
     contacts = fe_el.Contacts(beads, law, walls=(tags, (WALL, INLET)), steps_per_contact=steps_per_contact)
-    for _ in range(int(np.ceil(settle_time / 5e-3))):
+    for _ in range(0 if going_on else int(np.ceil(settle_time / 5e-3))):
         beads.advance(5e-3, contacts)
     air = fe_el.VolumeAveragedNavierStokes(mesh, tags, GAS_DENSITY, GAS_VISCOSITY, down, tolerance=1e-9)
 
@@ -115,13 +117,13 @@ def main(largest_velocity=0.024, ramp_time=1.5, settle_time=0.25, number=10_000,
     air.set_no_slip(WALL)
     coupling = fe_el.Coupling(beads, air.velocity, air.pressure, GAS_DENSITY, GAS_VISCOSITY,
                               [fe_el.Drag(drag), fe_el.PressureGradient()])
-    bed, rows = bed_runs.Bed(beads, contacts, air, coupling), []
+    bed, rows = bed_runs.Bed(beads, contacts, air, coupling), restarts.Rows()
     area = mesh.comm.allreduce(beads.cells.volume[:beads.cells.owned].sum()) / HEIGHT
 
     def each(now):
         rows.append((now, speed(now), bed_runs.pressure_drop(air), *bed_state(beads, area, speed(now))))
     with fe_el.ParaViewOutput(output, beads, [air.velocity, air.pressure, coupling.fields[0]], ramp_time / 20) as out:
-        numbers = bed_runs.run(bed, time_step, 2 * ramp_time, out, each, 10, progress=progress)
+        numbers = bed_runs.run(bed, 2 * ramp_time, out, each, keep, 10, [rows], progress=progress)
     weight = beads.comm.allreduce(beads.mass.sum()) * GRAVITY * (1 - GAS_DENSITY / BEAD_DENSITY) / area
     return finish(output, beads.comm, np.array(rows), weight, ramp_time, numbers)
 

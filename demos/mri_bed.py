@@ -26,7 +26,7 @@ from mpi4py import MPI
 import fe_el
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from demos import bed_runs
+from demos import bed_runs, restarts
 
 matplotlib.use("Agg")
 WIDTH, DEPTH, HEIGHT, NUMBER, DIAMETER = 0.044, 0.01, 0.12, 9240, 1.2e-3
@@ -52,17 +52,19 @@ def arguments():
     p.add_argument("--slip", action="store_true", help="slip walls for the gas in place of no-slip ones")
     p.add_argument("--seed", type=int, default=1, help="seed of the first positions (1)")
     p.add_argument("--output", default="out/mri_bed", help="folder for results (out/mri_bed)")
+    restarts.add_arguments(p)
     return p
 
 
 def assemble(velocity, drag, cells, stiffness, steps_per_contact, slip, seed):
-    """The bed with its beads on a loose lattice."""
+    """The bed with its beads on a loose lattice; without a seed there are none yet."""
     mesh, tags = fe_el.box((WIDTH, DEPTH, HEIGHT), cells, slices_along=0)
     down = (0.0, 0.0, -GRAVITY)
     beads = fe_el.Particles(mesh, BEAD_DENSITY, down)
-    beads.insert_on_lattice((0, 0, 0), (WIDTH, DEPTH, 0.98 * HEIGHT), np.full(NUMBER, DIAMETER), seed=seed)
-    # equal beads would fall as columns
-    beads.velocity[:] = np.random.default_rng(seed).normal(scale=0.02, size=(NUMBER, 3))[beads.id]
+    if seed is not None:
+        beads.insert_on_lattice((0, 0, 0), (WIDTH, DEPTH, 0.98 * HEIGHT), np.full(NUMBER, DIAMETER), seed=seed)
+        # equal beads would fall as columns
+        beads.velocity[:] = np.random.default_rng(seed).normal(scale=0.02, size=(NUMBER, 3))[beads.id]
     law = fe_el.LinearSpringDashpot(stiffness, restitution=0.97, friction=0.1)
     contacts = fe_el.Contacts(beads, law, walls=(tags, (1, 2, 3, 4, 5)), steps_per_contact=steps_per_contact)
     air = fe_el.VolumeAveragedNavierStokes(mesh, tags, GAS_DENSITY, GAS_VISCOSITY, down, tolerance=1e-8)
@@ -100,20 +102,22 @@ def compare(averages, velocity):
 
 def one_run(velocity, drag, options, progress):
     """Run one bed; returns its profiles and numbers."""
+    folder = Path(options["output"]) / f"{drag}_{velocity:g}"
+    keep = restarts.Restarts(folder, *(options[k] for k in ("time_step", "checkpoint_every", "restart", "wall_time")))
     bed = assemble(velocity, drag, options["cells"], options["stiffness"], options["steps_per_contact"], options["slip"],
-                   options["seed"])
+                   None if keep.going_on() else options["seed"])
     edges = sorted({h for group in HEIGHTS.values() for h in group})
     rows = np.array([(1e-3 * h - THICKNESS / 2, 1e-3 * h + THICKNESS / 2) for h in edges]).ravel()
     averages = bed_runs.Averages(bed.beads, np.linspace(0, WIDTH, COLUMNS + 1), rows, DEPTH)
-    drops = []
+    drops = restarts.Rows()
 
     def each(now):
         if now > options["average_from"]:
             averages.add()
-            drops.append(bed_runs.pressure_drop(bed.air))
-    folder = Path(options["output"]) / f"{drag}_{velocity:g}"
+            drops.append((bed_runs.pressure_drop(bed.air),))
     with fe_el.ParaViewOutput(folder, bed.beads, [bed.air.velocity, bed.air.pressure, bed.coupling.fields[0]], 0.1) as out:
-        numbers = bed_runs.run(bed, options["time_step"], options["end_time"], out, each, 10, progress=progress)
+        numbers = bed_runs.run(bed, options["end_time"], out, each, keep, 10, [averages, drops], progress=progress)
+    drops = np.ravel(drops)
     weight = bed.beads.comm.allreduce(bed.beads.mass.sum()) * GRAVITY / (WIDTH * DEPTH)
     profiles, deviations = compare(averages, velocity)
     numbers |= {"pressure_drop": float(np.mean(drops)), "pressure_drop_error": bed_runs.standard_error(drops),
@@ -123,12 +127,16 @@ def one_run(velocity, drag, options, progress):
 
 
 def main(superficial_velocity=(0.9, 0.6), drag=("beetstra", "gidaspow"), end_time=6.0, average_from=1.0, time_step=5e-4,
-         steps_per_contact=20, cells=(11, 3, 30), stiffness=200.0, slip=False, seed=1, output="out/mri_bed", progress=True):
+         steps_per_contact=20, cells=(11, 3, 30), stiffness=200.0, slip=False, seed=1, output="out/mri_bed",
+         checkpoint_every=None, restart=None, wall_time=None, progress=True):
     """Run the beds, compare them with the measurement, and return the summary."""
     options = dict(locals())
     unknown = [u for u in superficial_velocity if not measured(u)]
     if unknown:
         raise ValueError(f"--superficial-velocity is {unknown[0]}; there are measurements at 0.9 and 0.6 m/s.")
+    if restart not in (None, True):
+        raise ValueError(f"--restart is {restart}; each run goes on from the checkpoint in its own folder: give it "
+                         "without a name.")
     if not 0 <= average_from < end_time:
         raise ValueError(f"--average-from is {average_from}; give a time before the end, {end_time} s.")
     logging.getLogger().setLevel(logging.WARNING)

@@ -2,6 +2,7 @@
 4.2)."""
 import argparse
 import logging
+import sys
 import time
 from pathlib import Path
 
@@ -10,6 +11,9 @@ import numpy as np
 from mpi4py import MPI
 
 import fe_el
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from demos import restarts
 
 matplotlib.use("Agg")
 GRAVITY, GAS_DENSITY, GAS_VISCOSITY = 9.81, 1.3, 1.8e-5
@@ -41,6 +45,7 @@ def arguments():
     p.add_argument("--seed", type=int, default=1, help="seed of the positions")
     p.add_argument("--output-every", type=float, default=0.05, help="time between ParaView outputs [s]")
     p.add_argument("--output", default="out/sedimenting_suspension", help="folder for results")
+    restarts.add_arguments(p)
     return p
 
 
@@ -74,13 +79,26 @@ class Suspension:
         self.coupling = fe_el.Coupling(self.beads, self.air.velocity, pressure, GAS_DENSITY, GAS_VISCOSITY,
                                        [law, fe_el.PressureGradient(self.balance)], coupling, mapping, smoothing,
                                        fluid_velocity, positions=positions, **mean)
-        self.contacts, self.count = None, count
+        self.contacts, self.count, self.first = None, count, np.zeros(3)
         self.weight = count * np.pi / 6 * size ** 3 * particle_density * GRAVITY
         if contacts:
             mass = np.pi / 6 * diameter ** 3 * particle_density
             stiffness = mass / 2 * (self.slip / (0.02 * size)) ** 2  # overlaps of about 2 % at the slip velocity
             self.contacts = fe_el.Contacts(self.beads, fe_el.LinearSpringDashpot(stiffness, restitution=0.9, friction=0.1),
                                            steps_per_contact=25)
+
+    def parts(self):
+        """What a checkpoint keeps."""
+        return (self.beads, self.contacts, self.air, self.coupling, self.fluid if self.fluid is not self.air else None, self)
+
+    def saved(self):
+        """The pressure gradient that corrects the momentum, and the momentum it is to keep."""
+        return {"same": (None, {"gradient": self.air.mean_pressure_gradient, "first": self.first})}
+
+    def restore(self, state):
+        """Take them back."""
+        self.first = state["same"]["first"]
+        self.air.mean_pressure_gradient[:] = self.coupling.pressure_force.mean[:] = state["same"]["gradient"]
 
     def advance(self, dt):
         """One time step."""
@@ -93,10 +111,10 @@ class Suspension:
         """Total momentum (3,) [kg m/s]."""
         return self.fluid_momentum() + self.beads.momentum()
 
-    def correct_momentum(self, first, dt):
+    def correct_momentum(self, dt):
         """Make the mean pressure gradient of the next step take back what momentum drifted; returns that force over the
         weight."""
-        drift, volume = self.momentum() - first, self.air.comm.allreduce(self.air.volume.sum())
+        drift, volume = self.momentum() - self.first, self.air.comm.allreduce(self.air.volume.sum())
         gradient = self.balance - drift / (volume * dt)
         self.air.mean_pressure_gradient[:] = self.coupling.pressure_force.mean[:] = gradient
         return drift[2] / (dt * self.weight)
@@ -132,11 +150,28 @@ def mean_and_error(values, blocks=8):
     return values.mean(), means.std(ddof=1) / np.sqrt(blocks)
 
 
+def loop(scene, times, dt, rows, correct_momentum, after):
+    """Advance the suspension and record it: whether it was stable, and why not."""
+    for now in times:
+        try:
+            scene.advance(dt)
+        except (FloatingPointError, fe_el.SolverDiverged, fe_el.LostParticle) as error:
+            return False, str(error)
+        rows.append((now, scene.mean_slip(), scene.coupling.momentum_imbalance, scene.coupling.max_solid_fraction,
+                     scene.coupling.solid_volume_error, scene.air.mass_residual(),
+                     scene.correct_momentum(dt) if correct_momentum else 0.0))
+        if not abs(rows[-1][1]) < 10 * scene.slip:
+            return False, f"the slip velocity grew to {rows[-1][1]:g} m/s"
+        for call in after:
+            call(now)
+    return True, ""
+
+
 def main(diameter=150e-6, particle_density=1500.0, solid_fraction=0.1, box=(48.0, 48.0, 96.0), cells=(6, 6, 12),
          coupling="conservative", dt_star=1.0, smoothing_length=None, drag="beetstra", mapping="overlap_volume",
          fluid_velocity="cell", fluid_steps=1, positions=None, correct_momentum=False, contacts=False,
          coarse_graining=1.0, end_time=0.5, seed=1, output_every=0.05,
-         output="out/sedimenting_suspension", progress=True):
+         output="out/sedimenting_suspension", checkpoint_every=None, restart=None, wall_time=None, progress=True):
     """Run the suspension and return the summary."""
     if not 0 < solid_fraction < 0.6 or not dt_star > 0:
         raise ValueError(f"--solid-fraction is {solid_fraction} and --dt-star {dt_star}; give a fraction in (0, 0.6) and a "
@@ -149,28 +184,21 @@ def main(diameter=150e-6, particle_density=1500.0, solid_fraction=0.1, box=(48.0
     dt = dt_star * tau_f
     out = fe_el.ParaViewOutput(output, beads, [scene.air.velocity, scene.air.pressure, scene.coupling.fields[0]],
                                output_every)
-    scene.coupling.to_fluid(dt)  # the void fraction that the first momentum is taken with
-    rows, stable, start, first = [], True, time.perf_counter(), scene.momentum()
-    for now in fe_el.time_steps(dt, max(end_time, dt), progress=progress):
-        try:
-            scene.advance(dt)
-        except (FloatingPointError, fe_el.SolverDiverged, fe_el.LostParticle) as error:
-            stable, reason = False, str(error)
-            break
-        rows.append((now, scene.mean_slip(), scene.coupling.momentum_imbalance, scene.coupling.max_solid_fraction,
-                     scene.coupling.solid_volume_error, scene.air.mass_residual(),
-                     scene.correct_momentum(first, dt) if correct_momentum else 0.0))
-        if not abs(rows[-1][1]) < 10 * scene.slip:
-            stable, reason = False, f"the slip velocity grew to {rows[-1][1]:g} m/s"
-            break
-        out.write(now)
+    keep, rows = restarts.Restarts(output, dt, checkpoint_every, restart, wall_time), restarts.Rows()
+    if not keep.going_on():
+        scene.coupling.to_fluid(dt)  # the void fraction that the first momentum is taken with
+        scene.first = scene.momentum()
+    checkpoints, start = keep.checkpoints(*scene.parts(), out, rows), time.perf_counter()
+    with checkpoints:
+        stable, reason = loop(scene, keep.steps(checkpoints.time, max(end_time, dt), progress), dt, rows,
+                              correct_momentum, (out.write, checkpoints.after))
     wall_time, rows = time.perf_counter() - start, np.array(rows).reshape(-1, 7)
     if not stable and comm.rank == 0:
         print(f"Unstable after {len(rows)} steps: {reason}")
     late = rows[rows[:, 0] > 0.5 * rows[-1, 0], 1] if len(rows) else np.array([np.nan])
     slip, error = mean_and_error(late)
     correction = mean_and_error(rows[rows[:, 0] > 0.5 * rows[-1, 0], 6]) if len(rows) else (np.nan, np.nan)
-    drift = np.abs(scene.momentum() - first).max() / (scene.weight * rows[-1, 0]) if len(rows) else np.nan
+    drift = np.abs(scene.momentum() - scene.first).max() / (scene.weight * rows[-1, 0]) if len(rows) else np.nan
     law = scene.coupling.drag.law
     re = GAS_DENSITY * (1 - scene.solid) * scene.slip * diameter / GAS_VISCOSITY
     numbers = {

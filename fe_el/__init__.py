@@ -4,14 +4,14 @@ Fluid: VolumeAveragedNavierStokes, SubCycled, Scalar, Probe, TimeAverage, ramp, 
     eddy viscosities Smagorinsky, Vreman, Wale; wall law Spalding; stabilisations Streamline, Upwind;
     turbulent inlets PowerLaw, LogLaw, SyntheticEddies
 Particles: Particles, Inlet, LostParticle, Contacts; laws LinearSpringDashpot, HertzMindlin, RollingFriction, ArrayLaw;
-    walls FacetWalls, PlaneWall, CylinderWall; Injector with FacetSource, DiscSource or PointSource; SizeDistribution
-    walls FacetWalls, PlaneWall, CylinderWall; MultiphasePIC with SolidsStress in the place of contacts
+    walls FacetWalls, PlaneWall, CylinderWall; Injector with FacetSource, DiscSource or PointSource; SizeDistribution;
+    MultiphasePIC with SolidsStress in the place of contacts
 Coupling: Coupling; forces Drag, PressureGradient, ViscousStress, Buoyancy, AddedMass, SaffmanLift, MagnusLift, Torque,
     UndisturbedVelocity, TurbulentDispersion and own ones; drag_laws; HelmholtzSmoothing, PatchAverage; OverlapVolume,
     SatellitePoints, ParticleCentred, HatKernel, WellMixed; time_scales
 Meshes: read_mesh, mesh_geo, box, periodic_box
 Running: time_steps, adaptive_steps, ParaViewOutput, stage_seconds, write_summary, save_checkpoint, load_checkpoint,
-    StopAndSave; ParticleFieldAverage, ParticleProfile, PlaneFlux
+    Checkpoints, StopAndSave; ParticleFieldAverage, ParticleProfile, PlaneFlux
 
 Every public call is collective unless it says otherwise; all numbers are in SI units.
 Names are loaded when first used, so a scene without fluid never imports the fluid.
@@ -55,6 +55,7 @@ _NAMES = {
     "particles.multiphase_pic": "MultiphasePIC",
     "particles.solids_stress": "SolidsStress",
     "run.checkpoint": "save_checkpoint load_checkpoint",
+    "run.checkpoints": "Checkpoints",
     "run.observers": "Probe TimeAverage",
     "run.particle_observers": "ParticleFieldAverage ParticleProfile PlaneFlux",
     "run.paraview": "ParaViewOutput",

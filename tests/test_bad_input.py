@@ -1,6 +1,7 @@
 """Bad arguments of public calls: each ends in a sentence that names the argument, and leaves a good state as it was."""
 import functools
 import re
+import tempfile
 
 import numpy as np
 import pytest
@@ -17,10 +18,22 @@ BAD = {
     "positive": st.one_of(NOT_NUMBERS, NOT_FINITE, st.floats(max_value=0.0, allow_nan=False)),
     "not negative": st.one_of(NOT_NUMBERS, NOT_FINITE, st.floats(max_value=-1e-300, allow_nan=False)),
     "up to one": st.one_of(NOT_NUMBERS, NOT_FINITE, st.floats(min_value=1.001, allow_nan=False)),
-    "vector": st.one_of(NOT_NUMBERS, NOT_FINITE, st.floats(), st.lists(st.floats(0, 1), min_size=4, max_size=6),
+    "vector": st.one_of(NOT_NUMBERS, NOT_FINITE, st.floats(min_value=1e-9),
+                        st.lists(st.floats(0, 1), min_size=4, max_size=6),
                         st.lists(st.floats(0, 1), max_size=1), NOT_FINITE.map(lambda x: (0.0, x, 0.0))),
     "index": st.one_of(NOT_NUMBERS, NOT_FINITE, st.integers(max_value=-1), st.just(0.5)),
     "object": st.one_of(NOT_NUMBERS, st.floats(), st.just(fe_el.Drag), st.just(fe_el.LinearSpringDashpot), st.none()),
+    "number": st.one_of(NOT_NUMBERS, NOT_FINITE, st.none(), st.just([1.0, 2.0, 3.0, 4.0])),
+    "components": st.one_of(NOT_NUMBERS, NOT_FINITE, st.floats(), st.lists(st.floats(0, 1), min_size=4, max_size=6),
+                            st.lists(st.floats(0, 1), max_size=2), NOT_FINITE.map(lambda x: (0.0, x, 0.0))),
+    "group": st.one_of(st.just("inlet"), st.just(object()), NOT_FINITE, st.integers(min_value=7), st.integers(max_value=0),
+                       st.just(1.5), st.just([]), st.just((1, 99)), st.just(True)),
+    "count": st.one_of(NOT_NUMBERS, NOT_FINITE, st.integers(max_value=0), st.just(0.5), st.none(), st.just([2])),
+    "below one": st.one_of(NOT_NUMBERS, NOT_FINITE, st.floats(max_value=0.999, allow_nan=False)),
+    "function": st.one_of(NOT_NUMBERS.filter(lambda x: not callable(x)), st.floats(), st.just(dict), st.just(fe_el.Drag)),
+    "no number": st.one_of(st.just(object()), st.just(dict), st.just([1j]), st.just({"a": object()}),
+                           st.complex_numbers(allow_nan=False)),
+    "folder": st.one_of(st.floats(), st.integers(), st.none(), st.just({}), st.just([])),
     "positions": st.one_of(NOT_NUMBERS, st.floats(), st.just([]), st.just([(0.1, 0.2, 0.3, 0.4)]), st.just([[0.5]]),
                            NOT_FINITE.map(lambda x: [(0.005, x, 0.005)]), st.just([(9.0, 9.0, 9.0)])),
 }
@@ -81,6 +94,95 @@ def particles(**change):
     return fe_el.Particles(**{"mesh": scene()[0], "density": 1.0, **change})
 
 
+def fluid(**change):
+    return fe_el.VolumeAveragedNavierStokes(**{"mesh": scene()[0], "facet_tags": scene()[1], **change})
+
+
+@functools.cache
+def flow():
+    """A fluid to which conditions may be given, and a scalar of one that made a step."""
+    moved = fluid()
+    moved.advance(1e-4)
+    return fluid(), fe_el.Scalar(moved, 1e-5)
+
+
+def steps_of(**change):
+    return fe_el.adaptive_steps(**{"fluid": scene()[3], "end_time": 1.0, "first": 0.1, **change})
+
+
+def output(**change):
+    return fe_el.ParaViewOutput(**{"folder": tempfile.gettempdir(), "particles": scene()[2], **change})
+
+
+FLUID_CALLS = [
+    (fluid, "mesh", "object"), (fluid, "facet_tags", "function"), (fluid, "density", "positive"),
+    (fluid, "viscosity", "not negative"), (fluid, "gravity", "components"), (fluid, "tolerance", "positive"),
+    (fluid, "mean_pressure_gradient", "components"), (fluid, "turbulence", "function"), (fluid, "stabilisation", "function"),
+    (fluid, "time_order", "count"), (lambda velocity: flow()[0].set_velocity(5, velocity), "velocity", "components"),
+    (lambda group: flow()[0].set_velocity(group, (0, 0, 1.0)), "group", "group"),
+    (lambda pressure: flow()[0].set_pressure(6, pressure), "pressure", "number"),
+    (lambda group: flow()[0].set_pressure(group), "group", "group"),
+    (lambda group: flow()[0].set_slip(group), "group", "group"),
+    (lambda group: flow()[0].set_no_slip(group), "group", "group"),
+    (lambda law: flow()[0].set_no_slip(1, law=law), "law", "function"),
+    (lambda velocity: flow()[0].set_initial_velocity(velocity), "velocity", "components"),
+    (lambda time_step: flow()[0].advance(time_step), "time_step", "positive"),
+    (lambda fields: flow()[0].advance(1e-4, fields), "fields", "function"),
+    (lambda time_step: flow()[0].courant(time_step), "time_step", "positive"),
+    (lambda fluid: fe_el.SubCycled(fluid, 2), "fluid", "object"), (lambda steps: fe_el.SubCycled(flow()[0], steps), "steps",
+                                                                   "count"),
+    (lambda courant: fe_el.SubCycled(flow()[0], courant=courant), "courant", "positive"),
+    (lambda most: fe_el.SubCycled(flow()[0], courant=1.0, most=most), "most", "count"),
+    (lambda fluid: fe_el.Scalar(fluid, 1.0), "fluid", "object"),
+    (lambda diffusivity: fe_el.Scalar(flow()[0], diffusivity), "diffusivity", "positive"),
+    (lambda initial: fe_el.Scalar(flow()[0], 1.0, initial), "initial", "number"),
+    (lambda tolerance: fe_el.Scalar(flow()[0], 1.0, tolerance=tolerance), "tolerance", "positive"),
+    (lambda scalar: flow()[1].set_value(1, scalar), "scalar", "number"),
+    (lambda group: flow()[1].set_value(group, 1.0), "group", "group"),
+    (lambda scalar: flow()[1].set_inflow(1, scalar), "scalar", "number"),
+    (lambda time_step: flow()[1].advance(time_step), "time_step", "positive"),
+    (lambda functions: fe_el.Probe(functions, [(0.005,) * 3]), "functions", "function"),
+    (lambda probe: fe_el.Probe([flow()[0].pressure], probe), "probe", "positions"),
+    (lambda function: fe_el.TimeAverage(function), "function", "object"),
+    (lambda time_step: fe_el.TimeAverage(flow()[0].pressure).add(time_step), "time_step", "positive"),
+    (lambda ramp: fe_el.ramp((0, 0, 1.0), ramp), "ramp", "positive"), (steps_of, "fluid", "object"),
+    (steps_of, "end_time", "positive"), (steps_of, "courant", "positive"), (steps_of, "growth", "below one"),
+    (lambda constant: fe_el.Smagorinsky(constant), "constant", "positive"),
+    (lambda constant: fe_el.Vreman(constant), "constant", "positive"),
+    (lambda constant: fe_el.Wale(constant), "constant", "positive"),
+    (lambda factor: fe_el.Streamline(factor), "factor", "positive"),
+    (lambda kappa: fe_el.Spalding(kappa), "kappa", "positive"),
+    (lambda constant: fe_el.Spalding(0.4, constant), "constant", "positive"),
+    (lambda mean: fe_el.PressureGradient(mean), "mean", "components"),
+    (lambda added_mass: fe_el.AddedMass(added_mass), "added_mass", "not negative"),
+    (lambda mesh: fe_el.HelmholtzSmoothing(mesh, 1.0), "mesh", "object"),
+    (lambda length: fe_el.HelmholtzSmoothing(scene()[0], length), "length", "positive"),
+    (lambda tolerance: fe_el.HelmholtzSmoothing(scene()[0], 1e-3, tolerance), "tolerance", "positive"),
+    (lambda mesh: fe_el.PatchAverage(mesh), "mesh", "object"),
+    (lambda repeats: fe_el.PatchAverage(scene()[0], repeats), "repeats", "count"),
+    (coupling_of, "smoothing", "function"), (coupling_of, "velocity", "object"), (coupling_of, "pressure", "object"),
+    (lambda fluid: fe_el.Coupling.of(fluid, scene()[2], []), "fluid", "object"), (inlet, "diameter", "positive"),
+    (inlet, "group", "group"), (inlet, "tries", "count"), (inlet, "seed", "index"), (insert_box, "seed", "index"),
+    (insert, "displacement", "not negative"), (lambda mask: scene()[2].hold(mask), "mask", "function"),
+    (lambda group: scene()[2].remove_at(scene()[1], group), "group", "group"),
+    (lambda contact_law: contacts_of(wall_law=contact_law), "contact_law", "function"), (contacts_of, "walls", "function"),
+    (lambda lengths: fe_el.box(lengths, (2, 2, 2)), "lengths", "components"),
+    (lambda cells: fe_el.box((1.0,) * 3, cells), "cells", "count"),
+    (lambda lengths: fe_el.periodic_box(lengths, (3, 3, 3)), "lengths", "components"),
+    (lambda dimension: fe_el.read_mesh("meshes/fluidised_bed.msh", dimension=dimension), "dimension", "count"),
+    (lambda scale: fe_el.read_mesh("meshes/fluidised_bed.msh", scale=scale), "scale", "positive"),
+    (lambda path: fe_el.read_mesh(path), "path", "folder"),
+    (lambda size: fe_el.mesh_geo("meshes/cylinder.geo", dimension=2, size=size), "size", "number"),
+    (output, "particles", "function"), (output, "fields", "function"), (output, "every", "positive"),
+    (output, "folder", "folder"), (output, "contacts", "function"), (lambda time: output().write(time), "time", "number"),
+    (lambda folder: fe_el.write_summary(folder), "folder", "folder"),
+    (lambda summary: fe_el.write_summary("unused", summary=summary), "summary", "no number"),
+    (lambda wall_time: fe_el.StopAndSave(print, wall_time), "wall_time", "positive"),
+    (lambda every: fe_el.Checkpoints("unused.h5", scene()[2], every=every), "every", "positive"),
+    (lambda end: list(fe_el.time_steps(0.1, end, progress=False)), "end", "number"),
+    (lambda contact_time: fe_el.ArrayLaw(print, contact_time), "contact_time", "positive"),
+]
+
 CALLS = [
     (particles, "density", "positive"), (particles, "thickness", "positive"), (particles, "gravity", "vector"),
     (particles, "mesh", "object"), (insert, "position", "positions"), (insert, "diameter", "positive"),
@@ -115,12 +217,12 @@ def refused(call, name, value):
         call(**{name: value})
     said = str(error.value)
     words = {"count": "number of particles", "coefficient": "rolling friction", "position": "position|particle set",
-             "youngs_modulus": "Young's modulus"}.get(name, name.replace("_", "[ _]"))
+             "youngs_modulus": "Young's modulus", "functions": "functions? of a probe"}.get(name, name.replace("_", "[ _]"))
     assert re.search(words, said, re.IGNORECASE) and said.endswith(".") and len(said) > 40, said
 
 
 @MANY
-@given(st.sampled_from(CALLS).flatmap(lambda call: st.tuples(st.just(call), BAD[call[2]])))
+@given(st.sampled_from(CALLS + FLUID_CALLS).flatmap(lambda call: st.tuples(st.just(call), BAD[call[2]])))
 def test_a_bad_argument_is_refused_by_name_and_the_scene_goes_on(case):
     (call, name, kind), value = case
     if name in ("density", "skin") and value is None or kind == "positions" and isinstance(value, dict):

@@ -153,6 +153,34 @@ def test_output_of_a_restarted_run_goes_on_with_the_series(folder):
     assert all((Path(folder) / f).is_file() for f in files)
 
 
+@pytest.mark.ranks
+def test_output_has_what_paraview_is_to_show(folder):
+    """Forces, density and material of beads, and lines of contacts with the force of their springs, all compressed."""
+    import meshio
+    mesh, tags = fe_el.box((0.01, 0.01, 0.02), (2, 2, 4))
+    beads = fe_el.Particles(mesh, 2500.0)
+    beads.insert_at([(0.005, 0.005, 0.009), (0.005, 0.005, 0.0098), (0.005, 0.005, 0.015)], 1e-3, density=[1.0, 2.0, 3.0],
+                    velocity=[(0, 0, 0), (0, 0, 0), (1.0, 0, 0)])
+    air = fe_el.VolumeAveragedNavierStokes(mesh, tags)
+    contacts = fe_el.Contacts(beads, fe_el.LinearSpringDashpot(100.0, 1.0, 0.0))
+    out = fe_el.ParaViewOutput(folder, beads, [air.velocity, air.pressure], contacts=contacts)
+    out.write(0.0)
+    beads.advance(1e-12, contacts)
+    out.write(1.0)
+    mesh.comm.barrier()
+    ranks = range(mesh.comm.size)
+    beads, links = ([meshio.read(f"{folder}/{name}_00001_{r}.vtu") for r in ranks] for name in ("particles", "contacts"))
+    data = {key: np.concatenate([p.point_data[key] for p in beads]) for key in beads[0].point_data}
+    assert {"density", "material", "force", "contact_force", "id", "diameter", "coarse_graining"} <= set(data)
+    assert sorted(data["density"]) == [1.0, 2.0, 3.0]
+    assert np.sort(data["contact_force"][:, 2]) == pytest.approx([-0.02, 0.0, 0.02], abs=1e-9)
+    lines = [c for p in links for block in p.cell_data["normal_force"] for c in block]
+    ends = np.concatenate([p.points for p in links if len(p.points)])
+    assert lines == pytest.approx([0.02]) and sorted(ends[:, 2]) == pytest.approx([0.009, 0.0098])
+    text = Path(f"{folder}/fluid_00001_0.vtu").read_bytes()
+    assert b"vtkZLibDataCompressor" in text and b'format="binary"' in text
+
+
 def small_run(path):
     """A file with a handful of beads in a fluid."""
     mesh, tags = fe_el.box((0.01, 0.01, 0.01), (2, 2, 2))
@@ -163,15 +191,18 @@ def small_run(path):
 
 
 def test_damaged_files_are_refused_and_change_nothing(tmp_path):
-    """One flipped bit anywhere, in the header too, a file cut short, one that is no checkpoint: a sentence, parts as they
-    were."""
+    """Two hundred files with a flipped bit anywhere, in the header too, cut short, in disorder, no checkpoint at all: a
+    sentence, parts as they were."""
     path, bad = str(tmp_path / "a.h5"), tmp_path / "b.h5"
     beads, air = small_run(path)
     good, random = Path(path).read_bytes(), np.random.default_rng(0)
     before = beads.position.copy()
-    places = [*random.integers(0, 8 * len(good), 60), *random.integers(0, 8 * 110, 20)]
+    places = [*random.integers(0, 8 * len(good), 140), *random.integers(0, 8 * 110, 30)]
     copies = [good[:b // 8] + bytes([good[b // 8] ^ 1 << int(b % 8)]) + good[b // 8 + 1:] for b in places]
-    for content in (*copies, good[:-1], good[:700], good + b"x", b"", b"no checkpoint", good[512:]):
+    cut = [good[:n] for n in random.integers(1, len(good) - 1, 20)]
+    mixed = [good[:n] + good[n + 64:] + good[n:n + 64] for n in random.integers(600, len(good) - 200, 10) if
+             good[n:n + 64] != good[n + 64:n + 128]]
+    for content in (*copies, *cut, *mixed, good[:-1], good[:700], good + b"x", b"", b"no checkpoint", good[512:]):
         bad.write_bytes(content)
         with pytest.raises(ValueError, match="damaged|another version"):
             fe_el.load_checkpoint(bad, beads, air)

@@ -1,5 +1,7 @@
 """Every demo, small."""
 import json
+import os
+import re
 
 import numpy as np
 import pytest
@@ -54,6 +56,64 @@ def test_fluidised_bed_goes_on_from_a_checkpoint(folder):
         assert rest[key] == pytest.approx(whole[key], rel=1e-10)
     with pytest.raises(ValueError, match="checkpoint-every"):
         fluidised_bed.main(checkpoint_every=-1.0, output=folder, **common)
+
+
+def first_half_and_rest(folder, run, half, end, every):
+    """Summaries of a run that wrote checkpoints, and of one that was broken off in the middle and went on in its folder."""
+    whole = run(end_time=end, output=folder + "/a", checkpoint_every=every)
+    run(end_time=half, output=folder + "/b", checkpoint_every=every)
+    rest = run(end_time=end, output=folder + "/b", checkpoint_every=every, restart=True)
+    frames = [re.findall('timestep="([^"]+)"', open(f"{folder}/{k}/{name}.pvd").read()) for k in "ab"
+              for name in ("particles", "fluid") if os.path.isfile(f"{folder}/{k}/{name}.pvd")]
+    assert frames[:len(frames) // 2] == frames[len(frames) // 2:] and len(frames[0]) > 2
+    return whole, rest
+
+
+def test_silo_goes_on_in_its_folder(folder):
+    """From a moment after the outlet was opened: rates, masses and frames are those of the run without a break."""
+    def run(**options):
+        return contacts_only.main(diameter=4e-3, particles=300, settle_time=0.05, output_every=0.03, progress=False,
+                                  **options)
+    whole, rest = first_half_and_rest(folder, run, 0.1, 0.15, 0.05)
+    for key in ("left_mass", "kinetic_energy", "discharge_rate", "largest_overlap_over_diameter", "lost_particles"):
+        assert rest[key] == pytest.approx(whole[key], rel=1e-12) and whole["left_particles"] > 5  # times differ by round-off
+
+
+def test_cylinder_goes_on_in_its_folder(folder):
+    def run(**options):
+        return flow_past_cylinder.main(100.0, 24, 0.08, 0.3, 0.02, output_every=0.05, progress=False, **options)
+    whole, rest = first_half_and_rest(folder, run, 0.1, 0.2, 0.1)
+    assert all(rest[key] == pytest.approx(whole[key], rel=1e-9) for key in ("largest_drag", "lift", "pressure_difference"))
+
+
+@pytest.mark.parametrize("options", [{"correct_momentum": True, "coupling": "implicit"},
+                                     {"contacts": True, "fluid_steps": 2}])
+def test_suspension_goes_on_in_its_folder(folder, options):
+    """The pressure gradient that corrects the momentum goes on, too."""
+    def run(**more):
+        return sedimenting_suspension.main(box=(24.0,) * 3, cells=(4, 4, 4), output_every=2e-3, progress=False, dt_star=0.5,
+                                           **options, **more)
+    whole, rest = first_half_and_rest(folder, run, 4.1e-3, 8.2e-3, 4e-3)
+    for key in ("slip_velocity", "momentum_imbalance", "correction_over_weight", "steps"):
+        assert rest.get(key, 0.0) == pytest.approx(whole.get(key, 0.0), rel=1e-9, abs=1e-13)
+
+
+def test_measured_bed_and_ramp_go_on_in_their_folders(folder):
+    """Means and the ledger go on; a run that is over is not made again; a name for checkpoints of many runs is refused."""
+    def bed(**options):
+        return mri_bed.main((0.9,), ("beetstra",), average_from=0.0, time_step=1e-3, progress=False, **options)
+    half = bed(end_time=0.02, output=folder + "/a", checkpoint_every=0.01)
+    again = bed(end_time=0.02, output=folder + "/a", checkpoint_every=0.01, restart=True)
+    assert again["wall_time"] < 0.3 * half["wall_time"]
+    assert all(again[k] == half[k] for k in half if "deviation" in k or "imbalance" in k or "overlap" in k)
+    with pytest.raises(ValueError, match="without a name"):
+        bed(end_time=0.02, output=folder, restart="a.h5")
+
+    def ramp(**options):
+        return minimum_fluidisation.main(ramp_time=0.02, settle_time=0.01, number=1000, output=folder + "/b", progress=False,
+                                         **options)
+    first, again = ramp(checkpoint_every=0.02), ramp(restart=True)
+    assert again["pressure_drop_fluidised_over_weight"] == first["pressure_drop_fluidised_over_weight"]
 
 
 def test_report_of_the_bed(folder):

@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 from dolfinx import fem
 
-from fe_el.checks import positive_number, same_mesh
+from fe_el.checks import function_or_class_of, positive_number, same_mesh
 from fe_el.coupling import mapping as _mapping
 from fe_el.coupling import particle_loops as loops
 from fe_el.coupling.added_mass import AddedMass, AddedMassExchange
@@ -85,6 +85,8 @@ class Coupling(Maps):
         if not hasattr(particles, "relaxation_rate") or isinstance(particles, type):
             raise ValueError(f"The particles are {particles!r}; pass an object of Particles.")
         for name, function in (("velocity", velocity), ("pressure", pressure), ("mean velocity", mean_velocity)):
+            if not hasattr(function, "ufl_shape") and (function is not None or name != "mean velocity"):
+                raise ValueError(f"The {name} of the fluid is {function!r}; pass its Function, or a UFL expression.")
             same_mesh(f"values of the {name}", function, particles.mesh)
         fluid_density = positive_number("fluid density", fluid_density)
         fluid_viscosity = positive_number("fluid viscosity", fluid_viscosity)
@@ -103,6 +105,8 @@ class Coupling(Maps):
         others = [f for f in forces if not isinstance(f, built_in)]
         for force in others:
             check_force(force)
+        if smoothing is not None:
+            function_or_class_of("smoothing", smoothing, "for instance HelmholtzSmoothing(mesh, length), or leave it out")
         self.particles, self.comm, mesh = particles, particles.comm, particles.mesh
         self.density, self.viscosity, self.largest = fluid_density, fluid_viscosity, largest_solid_fraction
         self.dimension, self.answers = mesh.topology.dim, None  # whether the fluid changed in the last step
@@ -167,10 +171,23 @@ class Coupling(Maps):
             Collective.
         """
         flow = getattr(fluid, "fluid", fluid)
+        if isinstance(fluid, type) or not hasattr(flow, "pressure") or not hasattr(flow, "viscosity"):
+            raise ValueError(f"The fluid is {fluid!r}; pass an object of VolumeAveragedNavierStokes or SubCycled.")
         if flow is not fluid:
             kwargs = {"mean_velocity": fluid.mean_velocity, **kwargs}
         pressure, forces = flow.pressure if flow is fluid else fluid.mean_pressure, fitting(flow, particles, forces)
         return cls(particles, flow.velocity, pressure, flow.density, flow.viscosity, forces, **kwargs)
+
+    def saved(self):
+        """Whether the fluid answers, and the count of over-filled cells, for a checkpoint."""
+        answers = -1 if self.answers is None else int(self.answers)
+        return {"same": (None, {"answers": answers, "over_filled_total": self.over_filled_total})}
+
+    def restore(self, state):
+        """Take them back."""
+        answers = int(state["same"]["answers"])
+        self.answers = None if answers < 0 else bool(answers)
+        self.over_filled_total, self._kept, self._mapped = int(state["same"]["over_filled_total"]), None, None
 
     def _added_mass(self, law, scheme, mean_velocity):
         """The exchange with added mass: if a law is given, or where particles are so light that without one they explode."""

@@ -4,8 +4,9 @@ import time
 import numpy as np
 from dolfinx import fem
 
-from fe_el.checks import require_positive
+from fe_el.checks import number_or_function, numbers, of_kind, positive_number
 from fe_el.fluid import cell_kernels, kernels, node_kernels
+from fe_el.fluid.cells_and_nodes import CellsAndNodes
 from fe_el.nodes.linear_solver import LinearSolver
 from fe_el.nodes.nodal_kernels import scatter
 from fe_el.nodes.nodal_matrix import NodalMatrix
@@ -44,24 +45,38 @@ class Scalar:
     """
 
     def __init__(self, fluid, diffusivity, initial=0.0, name="scalar", tolerance=1e-10):
-        require_positive("diffusivity", diffusivity)
-        self.fluid, self.diffusivity, self.tolerance = fluid, float(diffusivity), tolerance
+        self.fluid, self.diffusivity = of_kind("fluid", fluid, CellsAndNodes), positive_number("diffusivity", diffusivity)
+        self.tolerance = positive_number("tolerance of a scalar's solver", tolerance)
+        if not isinstance(name, str) or not name.isidentifier():
+            raise ValueError(f"The name of the scalar is {name!r}; give a word of letters, digits and underscores.")
+        start = numbers("initial value of a scalar", number_or_function("initial value of a scalar", initial)
+                        if not callable(initial) or isinstance(initial, type) else initial(fluid.node_position))
+        if start.shape not in ((), (fluid.nodes,)) or not np.isfinite(start).all():
+            raise ValueError(f"The initial value of the scalar has shape {start.shape} or is not finite; give a number, "
+                             "or a function of positions (nodes, 3) that returns an array (nodes,).")
         self.value = fem.Function(fluid.space, name=name)
-        self.value.x.array[:] = initial(fluid.node_position) if callable(initial) else initial
+        self.value.x.array[:] = start
         self.source, self.fixed, self.inflow, self.seconds = None, [], [], {name: 0.0}
         self.matrix = NodalMatrix(fluid.space, fluid.dofs)
-        self.solver = LinearSolver(self.matrix.matrix, name, "bcgs", "jacobi", tolerance)
+        self.name, self.solver = name, None
+        self.make_solver()
         self.name, self.work, self._held, self._open = name, WorkArrays(), None, None
         self.outside = None  # (nodes,) values that come back in
 
+    def make_solver(self):
+        """A solver that knows nothing of earlier steps. Collective."""
+        if self.solver is not None:
+            self.solver.ksp.destroy()
+        self.solver = LinearSolver(self.matrix.matrix, self.name, "bcgs", "jacobi", self.tolerance)
+
     def set_value(self, group, value):
         """Fix the value on a boundary group: a number or a function of time."""
-        self.fixed.append((self.fluid.boundary(group), value))
+        self.fixed.append((self.fluid.boundary(group), number_or_function("value of a scalar on a boundary", value)))
         self._held = None
 
     def set_inflow(self, group, value):
         """Value of what enters through a boundary group: a number or a function of time; fluid that leaves keeps its own."""
-        self.inflow.append((self.fluid.boundary(group), value))
+        self.inflow.append((self.fluid.boundary(group), number_or_function("value of a scalar that enters", value)))
 
     def _through_boundaries(self, dt, old, rhs):
         """What fluid takes along through open boundaries, on the nodes there: implicit in half where time is of second
@@ -100,7 +115,10 @@ class Scalar:
         Raises:
             SolverDiverged: if the solver fails.
         """
-        tick = time.perf_counter()
+        dt, tick = positive_number("time step", dt), time.perf_counter()
+        if self.fluid.step_flux is None:
+            raise ValueError("The scalar's fluid has not made a step yet; call fluid.advance(dt) first, then this with the "
+                             "same step.")
         air, work, place, values = self.fluid, self.work, self.matrix.place, self.matrix.values
         values.fill(0.0)
         old, rhs = work.empty("old", air.nodes, 1), work.zeros("rhs", air.nodes, 1)

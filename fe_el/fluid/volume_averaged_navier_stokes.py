@@ -4,10 +4,11 @@ import time
 import numpy as np
 from dolfinx import fem
 
+from fe_el.checks import components, function_or_class_of, not_negative_number, positive_number, require_mesh, require_tags
 from fe_el.dolfinx_api import vector_space
 from fe_el.fluid import cell_kernels, kernels, node_kernels
 from fe_el.fluid.boundary_conditions import Boundaries
-from fe_el.fluid.boundary_values import velocity_at
+from fe_el.fluid.boundary_values import check_fields, velocity_at
 from fe_el.fluid.cells_and_nodes import CellsAndNodes
 from fe_el.fluid.continuity import Ledger
 from fe_el.fluid.drag_in_transport import DragInTransport
@@ -62,14 +63,15 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
     def __init__(self, mesh, facet_tags=None, density=1.2, viscosity=1.8e-5, gravity=None, tolerance=1e-8,
                  mean_pressure_gradient=None, stress_of_mixture=False, turbulence=None, time_order=2,
                  stabilisation=None):
+        require_mesh(mesh)
         CellsAndNodes.__init__(self, mesh)
-        if not (density > 0 and np.isfinite(density)):
-            raise ValueError(f"The fluid density is {density}; it must be finite and greater than zero [kg/m^3].")
-        if not (viscosity >= 0 and np.isfinite(viscosity)):
-            raise ValueError(f"The fluid viscosity is {viscosity}; it must be finite and not negative [Pa s].")
-        self.facet_tags, self.density, self.viscosity, self.tolerance = facet_tags, density, viscosity, tolerance
+        if facet_tags is not None:
+            require_tags("facet tags of the fluid", facet_tags, mesh)
+        self.facet_tags, self.density = facet_tags, positive_number("fluid density", density)
+        self.viscosity = not_negative_number("fluid viscosity", viscosity)
+        self.tolerance = positive_number("tolerance of the fluid's solvers", tolerance)
         n, d = self.num_cells, self.dimension
-        self.gravity = np.zeros(d) if gravity is None else np.asarray(gravity, float)[:d].copy()
+        self.gravity = np.zeros(d) if gravity is None else components("gravity", gravity, d)
         self.velocity = fem.Function(vector_space(mesh, "DG", 0), name="velocity")
         self.pressure = fem.Function(self.space, name="pressure")
         self.cell_halo = Halo.of_index_map(mesh.comm, self.velocity.function_space.dofmap.index_map)
@@ -78,13 +80,21 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
             setattr(self, name, value)
         self.time, self.step, self.seconds = 0.0, 0, {"fluid": 0.0}
         self.inlets, self.outlets, self.no_slip, self.slip, self._facets, self._conditions = [], [], [], [], {}, {}
-        mean = np.zeros(d) if mean_pressure_gradient is None else np.asarray(mean_pressure_gradient, float)[:d]
-        if time_order not in (1, 2):
-            raise ValueError(f"time_order is {time_order}; it must be 1 or 2.")
+        mean = np.zeros(d)
+        if mean_pressure_gradient is not None:
+            mean = components("mean pressure gradient", mean_pressure_gradient, d)
+        if not isinstance(time_order, int) or time_order not in (1, 2):
+            raise ValueError(f"The time order (time_order) is {time_order!r}; it must be 1 or 2.")
+        if turbulence is not None:
+            function_or_class_of("turbulence", turbulence, "an object such as Smagorinsky(), or leave it out")
+        if stabilisation is not None and (isinstance(stabilisation, type) or not hasattr(stabilisation, "upwind")):
+            raise ValueError(f"The stabilisation is {stabilisation!r}; pass Streamline() or Upwind(), or leave it out.")
         self.turbulence, self.time_order, self.stabilisation = turbulence, time_order, stabilisation
         self.upwind = stabilisation is not None and stabilisation.upwind
         self.mean_pressure_gradient, self.stress_of_mixture = mean.copy(), bool(stress_of_mixture)
         self.guess_order = 0  # of the extrapolation that pressure solves start from
+        self.as_new = False  # whether the next step makes its matrices and solvers anew
+        self._solvers, self._closed_flux = (), None
         self.ready, self.step_flux, self._to_close, self._single_phase = False, None, 0, None
         self.body_force = self.mass_source = self.eddy_viscosity = None
         self.drag_known = False  # whether drag_gain holds what drag gave in the last step
@@ -106,12 +116,16 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
 
     def _setup(self):
         """Matrices, solvers and fixed nodes, once the boundary conditions are known."""
-        self.ready = True
+        if self._solvers:
+            for solver in (*self._solvers, *([self._closed_flux.solver] if self._closed_flux else ())):
+                solver.free()
+        self.ready, self.as_new = True, False
         self._transport = NodalMatrix(self.space, self.dofs)
         self.transport_solver = LinearSolver(self._transport.matrix, "transport", "bcgs", "jacobi", self.tolerance)
         self._hold_nodes()
         self._thetas, self._steady_inflow, self._closed_flux = {}, None, None
         self.pressure_equation, self.drag_inside = PressureEquation(self), DragInTransport(self)
+        self._solvers = self.transport_solver, self.pressure_equation.solver
         self.boundary_velocity, self._values_set = np.zeros((self.nodes, self.dimension)), False
 
     # -- one step ------------------------------------------------------------------------------------------------------
@@ -133,20 +147,19 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         Note:
             Collective.
         """
-        if not (dt > 0 and np.isfinite(dt)):
-            raise ValueError(f"The time step is {dt}; it must be finite and greater than zero [s].")
-        tick = time.perf_counter()
+        dt, tick = positive_number("time step", dt), time.perf_counter()
         n, d = self.num_cells, self.dimension
         if fields is None:
             phi, drag, source = self._single_phase = self._single_phase or (np.ones(n), np.zeros(n), np.zeros((n, d)))
         else:
+            check_fields(fields, n, d)
             phi, drag = self.work.other("void_fraction", self.void_fraction, n), fields[1].x.array[:n]
             phi[:], source = fields[0].x.array[:n], fields[2].x.array.reshape(-1, d)[:n]
             if n and not phi.min() > 0:
                 raise ValueError(f"The void fraction of cell {int(np.argmin(phi))} on rank {self.comm.rank} is "
                                  f"{phi.min():g}; it must be positive. Use larger cells or smoothing.")
         phi0 = phi if self.void_fraction is None else self.void_fraction
-        if not self.ready:
+        if not self.ready or self.as_new:
             self._setup()
             self.set_boundary_values(phi0 if phi0 is not phi or fields is not None else None)
         q = self.work.empty("start_of_cells", n, d)

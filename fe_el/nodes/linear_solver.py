@@ -51,6 +51,11 @@ class LinearSolver:
         self.x, self.b = matrix.createVecs()
         self.iterations, self.fallbacks, self.resort, self.ranks = 0, 0, 0, ranks_of(matrix.comm.tompi4py())
 
+    def free(self):
+        """Release the memory of the solver and its matrix, which nobody may use any more. Collective."""
+        for thing in (self.ksp, self.x, self.b, self.matrix):
+            thing.destroy()
+
     def _read_options(self, ksp):
         """PETSc's options for a solver; hypre has no Gaussian elimination for the coarsest level of a singular matrix."""
         options, key = PETSc.Options(), ksp.getOptionsPrefix() + "pc_hypre_boomeramg_relax_type_coarse"

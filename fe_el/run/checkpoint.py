@@ -9,7 +9,7 @@ import numpy as np
 
 from fe_el.dolfinx_api import import_h5py
 from fe_el.parallel.exchange import raise_everywhere
-from fe_el.run.checkpoint_parts import PARTS, nearest
+from fe_el.run.checkpoint_parts import PARTS, make_anew, nearest
 
 VERSION = 2
 HEADER = 512  # bytes before what HDF5 reads
@@ -19,15 +19,17 @@ STRAY = 600  # [s] after which the part of a file that a killed run left is remo
 def save_checkpoint(path, *parts, **numbers):
     """Write the state of particles, contacts, fluid, scalars, inlets and observers to an HDF5 file.
 
-    The file is complete or not there: it gets its name when it is written, and begins with a checksum. A run that goes on
-    from it gives what the run without a break gives, up to the solvers' tolerance, on any number of ranks.
+    The file is complete or not there: it gets its name when it is written, and begins with a checksum. The run that wrote it
+    makes lists and solvers anew, as one that goes on from it must: on as many ranks both are the same to the last bit. On
+    other ranks, and with a run that wrote none, they agree up to round-off and the solvers' tolerance.
 
     Args:
         path: file to write; an older one is replaced.
         parts: :class:`Particles`, :class:`Contacts`, :class:`VolumeAveragedNavierStokes`, :class:`Scalar`, :class:`Inlet`,
-            :class:`TimeAverage`, :class:`Probe`, :class:`SubCycled`, steps of :func:`adaptive_steps`, and objects of a
-            user's class that has ``saved()`` and ``restore(state)`` (:mod:`fe_el.run.checkpoint_parts`); particles before
-            their contacts, the first one with a mesh.
+            :class:`Coupling`, :class:`TimeAverage`, :class:`Probe`, :class:`SubCycled`, :class:`ParaViewOutput`, steps of
+            :func:`adaptive_steps`, and objects of a user's class that has ``saved()`` and ``restore(state)``
+            (:mod:`fe_el.run.checkpoint_parts`), if need be ``anew()``; particles before their contacts, the first one with a
+            mesh.
         numbers: what else to keep, for instance ``time=``; numbers, texts and arrays.
 
     Raises:
@@ -37,7 +39,7 @@ def save_checkpoint(path, *parts, **numbers):
     Note:
         Collective.
     """
-    comm, groups = _comm(parts), {}
+    comm, groups = comm_of(parts), {}
     for k, part in enumerate(parts):
         for block, (points, arrays) in _functions(part)[0](part).items():
             name = f"{k}_{type(part).__name__}/{block}"
@@ -55,6 +57,8 @@ def save_checkpoint(path, *parts, **numbers):
         except (OSError, TypeError, ValueError) as error:  # HDF5 takes neither dictionaries nor objects
             message = f"The checkpoint {path} cannot be written: {error}."
     raise_everywhere(comm, OSError, message)
+    for part in parts:
+        make_anew(part)
 
 
 def _write(path, groups, numbers):
@@ -108,7 +112,7 @@ def load_checkpoint(path, *parts):
     Note:
         Collective.
     """
-    comm, data, message = _comm(parts), None, None
+    comm, data, message = comm_of(parts), None, None
     if comm.rank == 0:
         try:
             data, message = _read(Path(path))
@@ -184,7 +188,7 @@ def _functions(part):
     raise TypeError(f"A {type(part).__name__} has no state to keep; a checkpoint holds {', '.join(PARTS)}.")
 
 
-def _comm(parts):
+def comm_of(parts):
     """Communicator of the first part."""
     if not parts:
         raise TypeError(f"Give a checkpoint the parts to keep: {', '.join(PARTS)}.")

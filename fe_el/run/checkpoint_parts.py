@@ -16,21 +16,20 @@ def particles_state(p):
     own, user = p.arrays()
     rows = {**own, **{"property:" + k: a for k, a in user.items()}, "centre": p.cells.corner[p.cell].mean(1)}
     return {"particles": (None, rows), "same": (None, {"next_id": p.next_id, "step": p.step, "left": p.left,
-                                                       "left_mass": p.left_mass})}
+                                                       "left_mass": p.left_mass, "halo_width": p.halo_width})}
 
 
 def set_particles(p, state):
     """Each rank takes the particles whose cells it owns."""
     rows, same = state["particles"], state["same"]
-    p.reach_halo(3.0 * rows["diameter"].max(initial=0.0))
+    p.reach_halo(max(3.0 * rows["diameter"].max(initial=0.0), float(same["halo_width"])))
     n = p.cells.owned
     cell, found = nearest(p.cells.corner[:n].mean(1), rows["centre"], p.period)
     total = p.comm.allreduce(int(found.sum()))
     if total != len(found):
         raise ValueError(f"The checkpoint holds {len(found)} particles, of which {total} are in cells of this mesh; load it "
                          "into the mesh that it was made with.")
-    mine = np.flatnonzero(found)
-    mine = mine[np.argsort(rows["id"][mine], kind="stable")]
+    mine = np.flatnonzero(found)  # in the order in which they were: sums over them are then the same
     own, _ = p.arrays()
     if "number" not in rows:  # a file of an older version
         rows["number"] = rows["coarse_graining"] ** 3
@@ -53,8 +52,8 @@ def contacts_state(c):
             other = lists.facets.corner.mean(1)[partner]
         out[name] = (None, {"id": p.id[particle], "other": other, "spring": spring})
     skin = np.nan if lists.skin is None else lists.skin
-    out["same"] = (None, {"step": c.step, "shape": lists.shape, "motion": lists.motion, "skin": skin,
-                          "largest_overlap": c.largest_overlap})
+    out["same"] = (None, {"step": c.step, "shape": lists.shape, "motion": lists.motion, "skin": skin, "age": lists.age,
+                          "rebuilds": lists.rebuilds, "known": c.layout == p.layout, "largest_overlap": c.largest_overlap})
     return out
 
 
@@ -78,9 +77,18 @@ def set_contacts(c, state):
     for wall, row in zip(lists.walls, lists.motion):
         wall.point, wall.velocity, wall.angular_velocity = row[:3].copy(), row[3:6].copy(), row[6:].copy()
     lists.skin = None if np.isnan(same["skin"]) else float(same["skin"])
-    lists.restored, lists.pairs = kept, None
+    lists.restored, lists.pairs = (kept, p.id.copy()), None
+    lists.age, lists.rebuilds = int(same["age"]), int(same["rebuilds"])
     c.step, c.largest_overlap = int(same["step"]), float(same["largest_overlap"])
-    c.layout, c.stale = p.layout, True
+    c.layout = p.layout if same["known"] else None
+    contacts_anew(c)
+
+
+def contacts_anew(c):
+    """Let the next step make the lists anew, as a run that goes on from a checkpoint does."""
+    c.stale, c.lists.tile_layout, c.lists.wall_top = True, None, 0.0
+    if c.layout != c.particles.layout:
+        c.layout = None
 
 
 FLUID_CELLS = ("gain", "fades", "drag_gain", "last_drag", "rate", "void_fraction", "_last_flux")
@@ -96,6 +104,11 @@ def fluid_state(air):
     return {"cells": (air.corner.mean(1), cells), "nodes": (air.node_position[:own], nodes),
             "same": (None, {"time": air.time, "step": air.step, "dt": getattr(air, "dt", 0.0), "to_close": air._to_close,
                             "drag_known": air.drag_known, "guess_order": air.guess_order})}
+
+
+def fluid_anew(air):
+    """Let the next step make matrices and solvers anew, as a run that goes on from a checkpoint does."""
+    air.as_new = True
 
 
 def set_fluid(air, state):
@@ -142,6 +155,11 @@ def set_scalar(scalar, state):
         air.node_halo.forward(scalar.outside)
 
 
+def scalar_anew(scalar):
+    """Make the solver anew."""
+    scalar.make_solver()
+
+
 def inlet_state(inlet):
     """What waits, and the state of the random numbers."""
     return {"same": (None, {"inserted": inlet.inserted, "waiting": inlet.waiting,
@@ -178,3 +196,15 @@ def nearest(points, wanted, period):
 PARTS = {"Particles": (particles_state, set_particles), "Contacts": (contacts_state, set_contacts),
          "VolumeAveragedNavierStokes": (fluid_state, set_fluid), "Scalar": (scalar_state, set_scalar),
          "Inlet": (inlet_state, set_inlet)}
+
+
+ANEW = {"Contacts": contacts_anew, "VolumeAveragedNavierStokes": fluid_anew, "Scalar": scalar_anew}
+
+
+def make_anew(part):
+    """Do what a run must do to be, from here on, the same to the last bit as one that goes on from its checkpoint."""
+    if hasattr(part, "anew"):
+        part.anew()
+    for kind in type(part).__mro__:
+        if kind.__name__ in ANEW:
+            ANEW[kind.__name__](part)

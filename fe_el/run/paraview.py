@@ -7,35 +7,58 @@ from pathlib import Path
 import meshio
 import numpy as np
 
+from fe_el.checks import finite_number, function_of_mesh, positive_number
 from fe_el.dolfinx_api import dof_table, element_of
 from fe_el.mesh.cell_mesh import owned_corners
+from fe_el.parallel.exchange import raise_everywhere
 from fe_el.parallel.failures import PATIENCE, wait_for_all
+from fe_el.run.stopping import STOPPED
+
+WRITTEN = ("velocity", "angular_velocity", "diameter", "density", "material", "id", "coarse_graining", "force",
+           "contact_force")  # of the particles, beside the user's properties
 
 
 class ParaViewOutput:
-    """Writes particles and cell fields as .vtu pieces, one per rank, with .pvd collections for ParaView.
+    """Writes particles, cell fields and contacts as compressed .vtu pieces, one per rank, with .pvd collections (ParaView).
+
+    Particles have velocity and angular velocity, diameter, density, material, number (id), coarse graining, the ``force``
+    by all but contacts and gravity, the ``contact_force`` [N], and the user's properties. Contacts between
+    particles are lines between their centres, see :meth:`Contacts.network`.
 
     In a folder that holds a series already, frames older than the first that is written stay: a restarted run goes on with
-    the
-    series. Used as a context (``with output: ...``) it remembers the state of every call of :meth:`write`; if the run stops
-    with an
-    error, it writes the last good state before the error goes on.
+    the series; from a checkpoint that holds this output, at the times of the unbroken run. Used as a context (``with
+    output: ...``) it remembers the state of every call of :meth:`write`; if the run stops with an error, it writes
+    the last good state before the error goes on.
 
     Args:
         folder: where to write.
         particles (Particles): absent: none are written.
         fields: cell-wise (DG0) and nodal (P1) Functions of one mesh; absent: none are written.
         every (float): time between outputs [s]; absent: every call writes.
+        contacts (Contacts): absent: none are written.
+
+    Raises:
+        ValueError: for something else than these, or nothing to write.
 
     Note:
         Collective.
     """
 
-    def __init__(self, folder, particles=None, fields=(), every=None):
-        self.folder, self.particles, self.fields, self.every = Path(folder), particles, list(fields), every
-        self.comm = particles.comm if particles is not None else fields[0].function_space.mesh.comm
+    def __init__(self, folder, particles=None, fields=(), every=None, contacts=None):
+        if not isinstance(folder, (str, Path)):
+            raise ValueError(f"The folder of the output is {folder!r}; give its name.")
+        if not isinstance(fields, (list, tuple)) or particles is None and not fields:
+            raise ValueError(f"The output has the fields {str(fields)[:60]} and particles {particles!r}; give particles, "
+                             "or a list of Functions, or both.")
+        for name, thing in (("particles", particles), ("contacts", contacts)):
+            if thing is not None and (isinstance(thing, type) or not hasattr(thing, "layout")):
+                raise ValueError(f"The {name} of the output are {thing!r}; pass the object, or leave it out.")
+        self.folder, self.particles, self.contacts = Path(folder), particles, contacts
+        self.fields = [function_of_mesh("field of the output (fields)", f) for f in fields]
+        self.every = None if every is None else positive_number("time between outputs (every)", every)
+        self.comm = particles.comm if particles is not None else self.fields[0].function_space.mesh.comm
         self.seconds = {"output": 0.0}
-        self.next_time, self.written = -np.inf, {"particles": [], "fluid": [], "times": []}
+        self.next_time, self.written = -np.inf, {"particles": [], "contacts": [], "fluid": [], "times": []}
         self.guarding, self.remembered = False, None
         self.folder.mkdir(parents=True, exist_ok=True)
         if self.fields:
@@ -45,13 +68,13 @@ class ParaViewOutput:
 
     def write(self, time):
         """Write the state at ``time`` [s], unless the last output is more recent than ``every``."""
-        tick = time_now.perf_counter()
+        time, tick = finite_number("time of the output", time), time_now.perf_counter()
         if self.guarding:
-            self.remembered = (time, self._particle_data(), [f.x.array.copy() for f in self.fields])
+            self.remembered = (time, self._particle_data(), self._contact_data(), [f.x.array.copy() for f in self.fields])
         if time >= self.next_time - 1e-12:
             if self.every:
                 self.next_time = (time if self.next_time == -np.inf else self.next_time) + self.every
-            self._write(time, self._particle_data(), [f.x.array for f in self.fields])
+            self._write(time, self._particle_data(), self._contact_data(), [f.x.array for f in self.fields])
         self.seconds["output"] += time_now.perf_counter() - tick
 
     def __enter__(self):
@@ -60,21 +83,38 @@ class ParaViewOutput:
 
     def __exit__(self, kind, error, trace):
         self.guarding = False
-        if error is not None and self.remembered is not None and not isinstance(error, KeyboardInterrupt):
-            time = self.remembered[0]
+        told = isinstance(error, KeyboardInterrupt) or isinstance(error, SystemExit) and error.code == STOPPED
+        if error is not None and self.remembered is not None and not told:
+            time, said = self.remembered[0], f"{self.folder} has the last good state"
             if not self.written["times"] or time > self.written["times"][-1]:
-                self._write(*self.remembered, patience=PATIENCE)  # other ranks may not come here
+                try:
+                    self._write(*self.remembered, patience=PATIENCE)  # other ranks may not come here
+                except OSError as failed:
+                    said = f"the last good state is not written: {failed}"
             if self.comm.rank == 0:
-                print(f"The run stopped after time {time:g} s; {self.folder} has the last good state.", file=sys.stderr)
+                print(f"The run stopped after time {time:g} s; {said}.", file=sys.stderr)
         return False
 
-    def _write(self, time, particles, values, patience=np.inf):
+    def saved(self):
+        """When the next frame is due, for a checkpoint."""
+        return {"same": (None, {"next_time": self.next_time})}
+
+    def restore(self, state):
+        """Take it back."""
+        self.next_time = float(state["same"]["next_time"])
+
+    def _write(self, time, particles, contacts, values, patience=np.inf):
+        self.folder.mkdir(parents=True, exist_ok=True)
         self.written["times"].append(time)
         fluid = self._fluid_data(values)
         if particles is not None:
             position, data = particles
             vertices = [("vertex", np.arange(len(position)).reshape(-1, 1))]
             self._piece("particles", time, meshio.Mesh(position, vertices, point_data=data), patience)
+        if contacts is not None:
+            ends, data = contacts
+            lines = [("line", np.arange(2 * len(ends)).reshape(-1, 2))]
+            self._piece("contacts", time, meshio.Mesh(ends.reshape(-1, 3), lines, cell_data=data), patience)
         if fluid is not None:
             cell_data, point_data = fluid
             self._piece("fluid", time, meshio.Mesh(self.points, self.cells, point_data=point_data, cell_data=cell_data),
@@ -85,10 +125,17 @@ class ParaViewOutput:
         p = self.particles
         if p is None:
             return None
-        names = ("velocity", "angular_velocity", "diameter", "id")
-        data = {name: getattr(p, name).copy() for name in names}
+        data = {name: getattr(p, name).copy() for name in WRITTEN}
         data |= {name: a.copy() for name, a in p.properties.items() if not name.startswith("_")}
         return p.position.copy(), data
+
+    def _contact_data(self):
+        """Ends of the lines and what is written of them; ``None`` without contacts."""
+        if self.contacts is None:
+            return None
+        network = self.contacts.network()
+        ends = network.pop("position")
+        return ends, {name: [a] for name, a in network.items()}
 
     def _fluid_data(self, arrays):
         """What is written of the fields with these values, cell by cell; ``None`` without fields."""
@@ -122,13 +169,28 @@ class ParaViewOutput:
             self.written[name] = self._frames(name, time)
         number = 1 + max((int(files[0].split("_")[-2]) for _, files in self.written[name]), default=-1)
         files = [f"{name}_{number:05d}_{r}.vtu" for r in range(self.comm.size)]
-        meshio.write(self.folder / files[self.comm.rank], piece, file_format="vtu")
+        self._or_all_fail(patience, meshio.write, self.folder / files[self.comm.rank], piece, "vtu")
         self.written[name].append((time, files))
-        wait_for_all(self.comm, patience)  # the collection names pieces that are whole, those of other ranks too
+        self._or_all_fail(patience, self._collect, name)  # names pieces that are whole, those of other ranks too
+
+    def _or_all_fail(self, patience, call, *args):
+        """Call on this rank; an error of the disk comes on all of them, if they come here within the patience [s]."""
+        message = None
+        try:
+            call(*args)
+        except OSError as error:
+            message = f"The output {self.folder} cannot be written: {error}. Make room, or give another folder."
+        if np.isinf(patience):
+            raise_everywhere(self.comm, OSError, message)
+        elif not wait_for_all(self.comm, patience) or message:
+            raise OSError(message or "Other ranks did not come to write")
+
+    def _collect(self, name):
+        """Write the collection, whole at any moment."""
         if self.comm.rank == 0:
             rows = "".join(f'<DataSet timestep="{t:.9g}" part="{r}" file="{f}"/>\n' for t, fs in self.written[name]
                            for r, f in enumerate(fs))
             part = self.folder / f".{name}.pvd.part"
             part.write_text('<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">'
                             f"<Collection>\n{rows}</Collection></VTKFile>\n")
-            part.replace(self.folder / f"{name}.pvd")  # the collection is whole at any moment
+            part.replace(self.folder / f"{name}.pvd")

@@ -1,7 +1,9 @@
 """summary.json: what a run ends with, its costs by stage and the versions that its numbers depend on."""
 import importlib.metadata
 import json
+import math
 import sys
+import warnings
 from pathlib import Path
 
 from mpi4py import MPI
@@ -13,6 +15,9 @@ def stage_seconds(*parts):
     Args:
         parts: objects with a dictionary ``seconds``; ``None`` stands for physics that the scene leaves out.
     """
+    for part in parts:
+        if part is not None and not hasattr(part, "seconds"):
+            raise ValueError(f"{part!r} has no stages; pass objects that count their seconds, such as Contacts, or None.")
     stages = {name: round(t, 6) for part in parts if part is not None for name, t in part.seconds.items()}
     return {"seconds_per_stage": stages, **{"seconds_" + name: t for name, t in stages.items()}}
 
@@ -29,10 +34,39 @@ def versions():
 
 
 def write_summary(folder, comm=MPI.COMM_WORLD, **numbers):
-    """Write ``folder/summary.json`` with flat keys in SI units, ranks and versions; returns the dictionary."""
-    out = {**numbers, "ranks": comm.size, **versions()}
+    """Write ``folder/summary.json`` with flat keys in SI units, ranks and versions; returns the dictionary.
+
+    A number that is not finite stands there as null, and a warning names it.
+
+    Raises:
+        ValueError: for what is no number, text, array, list or dictionary of these, or a folder that is no name.
+    """
+    if not isinstance(folder, (str, Path)):
+        raise ValueError(f"The folder of the summary is {folder!r}; give its name.")
+    out, bad = {**numbers, "ranks": comm.size, **versions()}, []
+    plain = _plain(out, "", bad)
     if comm.rank == 0:
+        if bad:
+            warnings.warn(f"The summary in {folder} has no finite number for {', '.join(bad)}: null.", RuntimeWarning,
+                          stacklevel=2)
         Path(folder).mkdir(parents=True, exist_ok=True)
-        plain = {k: v.item() if hasattr(v, "item") else v for k, v in out.items()}
         (Path(folder) / "summary.json").write_text(json.dumps(plain, indent=1) + "\n")
     return out
+
+
+def _plain(value, name, bad):
+    """What JSON has for a value, its numbers finite or ``None``; the names of those that are not are put into ``bad``."""
+    if isinstance(value, dict):
+        return {str(k): _plain(v, f"{name}.{k}".lstrip("."), bad) for k, v in value.items()}
+    if hasattr(value, "tolist"):  # numpy's numbers and arrays
+        return _plain(value.tolist(), name, bad)
+    if isinstance(value, (list, tuple)):
+        return [_plain(v, name, bad) for v in value]
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    if not isinstance(value, float):
+        raise ValueError(f"The summary's {name} is {value!r}; give numbers, texts, arrays, lists or dictionaries of these.")
+    if math.isfinite(value):
+        return value
+    bad.append(name)
+    return None

@@ -5,7 +5,7 @@ import numpy as np
 from mpi4py import MPI
 from tqdm import tqdm
 
-from fe_el.checks import numbers, positive_number
+from fe_el.checks import finite_number, positive_number
 
 
 def time_steps(dt, end_time, start=0.0, comm=MPI.COMM_WORLD, progress=True):
@@ -15,7 +15,8 @@ def time_steps(dt, end_time, start=0.0, comm=MPI.COMM_WORLD, progress=True):
         ValueError: for a step that is not positive or an end before the start.
     """
     dt = positive_number("time step", dt)
-    if not numbers("end and start of the run", [end_time, start])[0] > start:
+    start, end_time = finite_number("start of the run", start), finite_number("end of the run", end_time)
+    if not end_time > start:
         raise ValueError(f"The time step is {dt} and the run goes from {start} to {end_time}; give a positive step and an "
                          "end after the start.")
     number = int(np.ceil((end_time - start) / dt - 1e-9))
@@ -48,15 +49,18 @@ class adaptive_steps:  # noqa: N801  called like time_steps
     """
 
     def __init__(self, fluid, end_time, courant=0.5, first=None, largest=np.inf, growth=1.2, progress=True):
-        for name, value in (("courant", courant), ("largest", largest), ("end_time", end_time),
-                            ("first", 1.0 if first is None else first)):
-            if not numbers(name, value) > 0:
-                raise ValueError(f"{name} is {value}; it must be greater than zero.")
-        if not growth >= 1:
-            raise ValueError(f"growth is {growth}; it must be at least 1.")
+        if isinstance(fluid, type) or not hasattr(fluid, "courant") or not hasattr(fluid, "time"):
+            raise ValueError(f"The fluid is {fluid!r}; pass an object of VolumeAveragedNavierStokes.")
+        for name, value in (("Courant number (courant)", courant), ("end of the run (end_time)", end_time),
+                            ("first step (first)", 1.0 if first is None else first)):
+            positive_number(name, value)
+        if not isinstance(largest, float) or largest != np.inf:
+            positive_number("largest step (largest)", largest)
+        if not positive_number("growth of the steps (growth)", growth) >= 1:
+            raise ValueError(f"The growth of the steps (growth) is {growth}; it must be at least 1.")
         self.fluid, self.end_time, self.courant, self.first = fluid, end_time, courant, first
         self.largest, self.growth, self.progress, self.dt = largest, growth, progress, None
-        self._steps = None
+        self._steps, self.time = None, None
 
     def __iter__(self):
         return self
@@ -66,12 +70,12 @@ class adaptive_steps:  # noqa: N801  called like time_steps
         return next(self._steps)
 
     def _all(self):
-        time = self.fluid.time
+        time = self.fluid.time if self.time is None else self.time
         with tqdm(total=self.end_time - time, disable=not self.progress or self.fluid.comm.rank > 0, unit="s",
                   file=sys.stderr, mininterval=1.0) as bar:
             while time < self.end_time * (1 - 1e-12):
                 self.dt = self._step(self.end_time - time)
-                time += self.dt
+                time = self.time = time + self.dt
                 yield time, self.dt
                 bar.update(self.dt)
 
@@ -87,8 +91,11 @@ class adaptive_steps:  # noqa: N801  called like time_steps
 
     def saved(self):
         """The last step, for a checkpoint."""
-        return {"same": (None, {"dt": np.nan if self.dt is None else self.dt})}
+        return {"same": (None, {name: np.nan if value is None else value
+                                for name, value in (("dt", self.dt), ("time", self.time))})}
 
     def restore(self, state):
         """Take it back."""
-        self.dt = None if np.isnan(state["same"]["dt"]) else float(state["same"]["dt"])
+        self.dt, self.time = (None if np.isnan(value) else float(value)
+                              for value in (state["same"][name] for name in ("dt", "time")))
+        self._steps = None

@@ -85,14 +85,14 @@ class ContactLists:
     def with_walls(self, walls, step, layout):
         """New lists for other walls, with the springs of all contacts that stay."""
         new, kept = ContactLists(self.particles, walls, self._skin, self.width), self.collect(step, layout)
-        new.skin, new.rebuilds, new.restored = self.skin, self.rebuilds, [kept[0]]
+        new.skin, new.rebuilds, new.restored = self.skin, self.rebuilds, ([kept[0]], self.particles.id.copy())
         for (particle, partner, spring), old, now in zip(kept[1:], *(x.of_walls() for x in (self, new))):
             to = np.full(len(old) + 1, -1)
             for k, wall in enumerate(self.walls):
                 if wall in walls:
                     to[:-1][old == k] = np.flatnonzero(now == walls.index(wall))
             stays = to[partner] >= 0
-            new.restored.append(springs.Kept(particle[stays], to[partner[stays]], spring[stays]))
+            new.restored[0].append(springs.Kept(particle[stays], to[partner[stays]], spring[stays]))
         if self.ghosts is not None:
             self.ghosts.free()
         return new
@@ -240,8 +240,8 @@ class ContactLists:
     def collect(self, step, layout):
         """Springs of the live contacts of the present lists: of pairs, facets and shapes."""
         if self.pairs is None:
-            kept, self.restored = self.restored or [springs.none(self.width)] * 3, None  # of a checkpoint
-            return kept
+            kept, old = self.restored or ([springs.none(self.width)] * 3, self.particles.id)  # of a checkpoint, of other walls
+            return [springs.renumbered(one, old, self.particles.id) for one in kept]
         n = self.ghosts.owned
         out = [springs.Kept(*springs.collect_springs(*where, entries.spring, entries.stamp, step, entries is self.pairs, n,
                                                      self.ids))
@@ -304,3 +304,4 @@ class ContactLists:
         self.shapes = ShapeRows(*shapes, *empty[2], self.kind, self.shape)
         for where, old, (spring, stamp) in zip(self._partners(), kept, empty):
             springs.restore_springs(*where, n, *old, step, spring, stamp)
+        self.restored = None

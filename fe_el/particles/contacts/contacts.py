@@ -13,6 +13,7 @@ from fe_el.particles.contacts.array_law import ArrayLaw, array_forces
 from fe_el.particles.contacts.blocks import new_block
 from fe_el.particles.contacts.contact_laws import HertzMindlin, LinearSpringDashpot
 from fe_el.particles.contacts.law_kernels import constant_rows
+from fe_el.particles.contacts.network import network_of
 from fe_el.particles.contacts.records import Assembly, Drift, Near
 from fe_el.particles.contacts.step_limit import step_limit
 from fe_el.particles.contacts.sub_steps import all_forces, near_numbers, sub_steps, wall_forces
@@ -75,7 +76,7 @@ class Contacts:
     @property
     def wall_law(self):
         """Law of wall contacts: ``law`` unless another was given."""
-        return self._wall_law or self.law
+        return self.law if self._wall_law is None else self._wall_law
 
     @wall_law.setter
     def wall_law(self, law):
@@ -122,6 +123,19 @@ class Contacts:
                 raise ValueError(f"A {what} has material {indices.max()}, but the law has {count} material(s), numbered "
                                  f"from 0; "
                                  "give the law a larger table.")
+
+    def network(self):
+        """Contacts between particles now, each once over all ranks, by the rank of their first particle.
+
+        Returns:
+            dict: ``position`` (contacts, 2, 3) of both centres [m], ``id`` (contacts, 2), ``overlap`` (contacts,) [m],
+            ``normal_force`` (contacts,) and ``tangential_force`` (contacts, 3) on the first particle [N], those of the
+            springs without damping. Of an :class:`ArrayLaw` forces are not known.
+
+        Note:
+            Not collective.
+        """
+        return network_of(self)
 
     @property
     def rebuilds(self):
