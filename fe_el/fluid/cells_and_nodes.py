@@ -5,7 +5,7 @@ import numpy as np
 
 from fe_el.mesh.cell_mesh import check_simplices
 from fe_el.nodes.nodal_kernels import scatter
-from fe_el.nodes.nodal_space import NodalSpace
+from fe_el.nodes.nodal_space import Cells, NodalSpace
 from fe_el.nodes.work_arrays import WorkArrays
 from fe_el.parallel.exchange import Halo
 from fe_el.parallel.failures import end_all_ranks_on_errors
@@ -31,6 +31,7 @@ class CellsAndNodes(NodalSpace):
         touched[self.dofs] = True
         self.sum_halo = Halo.of_index_map(self.comm, self.space.dofmap.index_map, touched)
         self.h = self.volume ** (1 / d) * (2 ** 0.5 if d == 2 else 6 ** (1 / 3))
+        self.cells = Cells(self.dofs.view(np.uint32), self.gradient, self.volume, self.h)
         self.node_position = np.zeros((self.nodes, 3))
         self.node_position[self.dofs] = self.corner
         self.node_halo.forward(self.node_position)

@@ -1,5 +1,6 @@
 """Transport with drag inside, for steps that are long against the viscous fading of what one cell alone feels."""
 from fe_el.fluid import drag_kernels, kernels
+from fe_el.fluid.records import Drag, Faded, Masses
 from fe_el.parallel.messages import largest
 
 FASTEST = 0.1  # fading by viscosity in a step, k dt, below which the last step's drag tells enough of this one's
@@ -43,14 +44,14 @@ class DragInTransport:
 
     def add(self, dt, q, u, load):
         """Add to the matrix of transport and its load (nodes, d); q and u: velocities of cells and nodes at the start."""
-        air, work, entries = self.fluid, self.fluid.work, self.fluid._transport
-        self.split, self.part = work.empty("viscous_share", air.num_cells), work.empty("drag_part", air.num_cells)
-        drag_kernels.share_of_viscosity(q, air.h, self.rate, self.split)
+        air, work = self.fluid, self.fluid.work
+        split, part = work.empty("viscous_share", air.num_cells), work.empty("drag_part", air.num_cells)
+        drag_kernels.share_of_viscosity(q, air.h, self.rate, split)
+        self.seen = Drag(self.drag, air.last_drag, self.source, air.drag_gain, split, part)
         self.by_pressure = work.other("by_pressure", air.last_force, air.nodes, air.dimension)
         self.by_pressure.fill(0.0)
-        drag_kernels.drag_in_transport(air.dofs, entries.place, air.cell_mass0, air.cell_mass, air.volume, dt, self.drag,
-                                       air.last_drag, self.source, q, u, air.nodal_gain, air.drag_gain, air.theta, air.lag,
-                                       self.split, air.gain, self.part, entries.values, load, self.by_pressure)
+        drag_kernels.drag_in_transport(air.cells, air.numbers_of_step(dt), Masses(air.cell_mass0, air.cell_mass),
+                                       air.transport_matrix.entries, self.seen, q, u, air.memory(), load, self.by_pressure)
         air.complete(self.by_pressure)
 
     def close(self, dt, q, u, new):
@@ -58,8 +59,9 @@ class DragInTransport:
         air, work = self.fluid, self.fluid.work
         kept, defect = work.empty("kept", *q.shape), work.zeros("defect", air.nodes, air.dimension)
         air.mass, self.given = work.zeros("mass", air.nodes), work.zeros("given_force", air.nodes, air.dimension)
-        drag_kernels.memory_of_drag(air.dofs, air.cell_mass0, air.cell_mass, dt, q, u, new, air.nodal_gain, air.theta,
-                                    air.lag, self.split, self.part, air.gain, kept, air.mass, defect, self.given)
+        masses, sums = Masses(air.cell_mass0, air.cell_mass), Faded(air.mass, defect, self.given)
+        drag_kernels.fade_with_drag(air.cells, air.numbers_of_step(dt), masses, self.seen, q, u, new, air.memory(), kept,
+                                    sums)
         air.complete(air.mass, self.given)
         drag_kernels.before_exchange(air.dofs, dt, q, u, self.given, air.mass, air.gain, kept, air.fades)
         return kept, defect

@@ -5,13 +5,17 @@ from fe_el.fluid.kernels import fading_rate
 
 
 @by_dimension
-def drag_in_transport(dofs, place, mass0, mass1, volume, dt, drag, last_drag, source, q, u, nodal_gain, drag_gain, theta,
-                      lag, split, gain, part, values, load, by_pressure):
+def drag_in_transport(cells, step, masses, entries, given, q, u, known, load, by_pressure):
     """Add to the matrix of transport and to its load what drag A, source B and the fading by viscosity give to the nodes.
 
-    ``gain`` becomes p + b for a nodal velocity of zero; ``part`` of the mean of that velocity comes off it. ``split`` is the
-    share of viscosity in the fading; ``by_pressure`` gets the nodal sums of the part p.
+    The gain becomes p + b for a nodal velocity of zero; a ``part`` of the mean of that velocity comes off it.
+    ``by_pressure`` gets the nodal sums of the part p.
     """
+    dofs, volume, dt, mass0, mass1 = cells.dofs, cells.volume, step.dt, masses.before, masses.after
+    drag, last_drag, source, drag_gain = given.now, given.last, given.source, given.gain
+    split, part = given.split, given.part
+    gain, nodal_gain, theta, lag = known.gain, known.nodal_gain, known.theta, known.lag
+    place, values = entries.place, entries.values
     n = len(dofs)
     share = 1.0 / M
     for c in range(n):
@@ -29,9 +33,9 @@ def drag_in_transport(dofs, place, mass0, mass1, volume, dt, drag, last_drag, so
             g = p + rest * (source[c, k] - drag[c] * (theta[c] * r + stay * (p - share * rise)))
             kept = theta[c] * r + stay * (g - share * rise)
             gain[c, k] = g
-            given = share * (mass1[c] * g - split[c] / dt * (mass1[c] * kept - mass0[c] * r))
+            force = share * (mass1[c] * g - split[c] / dt * (mass1[c] * kept - mass0[c] * r))
             for i in range(M):
-                load[dofs[c, i], k] += given
+                load[dofs[c, i], k] += force
                 by_pressure[dofs[c, i], k] += share * mass1[c] * p
         weight = share * share * mass1[c] * part[c] * (1.0 - split[c] / dt * stay)
         for i in range(M):
@@ -40,9 +44,12 @@ def drag_in_transport(dofs, place, mass0, mass1, volume, dt, drag, last_drag, so
 
 
 @by_dimension
-def memory_of_drag(dofs, mass0, mass1, dt, q, u, new, nodal_gain, theta, lag, split, part, gain, kept, mass, defect, force):
+def fade_with_drag(cells, step, masses, given, q, u, new, known, kept, sums):
     """What cells keep after transport, the gain that goes with the ``new`` nodal velocity, and nodal sums: of mass, of the
-    momentum that faded by convection, and of the ``force`` that transport was given."""
+    momentum that faded by convection, and of the force that transport was given."""
+    dofs, dt, mass0, mass1, split, part = cells.dofs, step.dt, masses.before, masses.after, given.split, given.part
+    gain, nodal_gain, theta, lag = known.gain, known.nodal_gain, known.theta, known.lag
+    mass, defect, force = sums.mass, sums.defect, sums.force
     n = len(dofs)
     share = 1.0 / M
     for c in range(n):

@@ -58,8 +58,9 @@ def trust(convective, fading, damping):
 
 
 @by_dimension
-def mass_and_misfit(dofs, weight, q, u, h, nu, dt, damping, gain, nodal_gain, fades, upwind, at_wall, sums, theta, lag):
-    """What relaxation needs at the nodes, in ``sums`` (nodes, 2 + 2 d), and what is left of what the nodes do not carry.
+def mass_and_misfit(cells, step, weight, damping, q, u, known, at_wall, sums):
+    """What relaxation needs at the nodes, in ``sums`` (nodes, 2 + 2 d), and what is left of what the nodes do not carry, in
+    the :class:`Memory` ``known``.
 
     The sums are those of the cell masses; of mass times the part of the misfit that is taken over in a step; of mass times
     the misfit q - mean u, as in a least-squares fit (with ``upwind`` of mass times q alone); and of what is taken over of
@@ -72,6 +73,8 @@ def mass_and_misfit(dofs, weight, q, u, h, nu, dt, damping, gain, nodal_gain, fa
     single cells and for ten that lie apart (ten in a heap: 15 to 21 % less, the nodes' part); on triangles larger rates
     make steady pressures worse. In steps longer than the fading drag takes part in transport: see ``DragInTransport``.
     """
+    dofs, h, dt, nu, upwind = cells.dofs, cells.size, step.dt, step.nu, step.upwind
+    gain, nodal_gain, fades, theta, lag = known.gain, known.nodal_gain, known.fades, known.theta, known.lag
     n = len(dofs)
     share = 1.0 / M
     misfit, feed = np.empty(D), np.empty(D)
@@ -81,12 +84,12 @@ def mass_and_misfit(dofs, weight, q, u, h, nu, dt, damping, gain, nodal_gain, fa
             speed += q[c, k] * q[c, k]
         fading, relax = dt * fading_rate(speed, h[c], nu, VISCOUS[D - 2]), dt * relaxation_rate(speed, h[c], nu)
         theta[c], kept = left_of(fading), left_of(relax)
-        mass, step = share * weight[c], dt * trust(2.0 * dt * np.sqrt(speed) / h[c], fading, damping[c])
-        lag[c] = step * lag_of(theta[c], fading)
-        taken, given = mass * (1.0 - kept), step * lag_of(kept, relax)
+        mass, time = share * weight[c], dt * trust(2.0 * dt * np.sqrt(speed) / h[c], fading, damping[c])
+        lag[c] = time * lag_of(theta[c], fading)
+        taken, given = mass * (1.0 - kept), time * lag_of(kept, relax)
         wall_relax = dt * relaxation_rate_at_wall(speed, h[c], nu)
         wall_kept = left_of(wall_relax)
-        wall_given = step * lag_of(wall_kept, wall_relax)
+        wall_given = time * lag_of(wall_kept, wall_relax)
         for k in range(D):
             mean, rise = 0.0, 0.0
             for i in range(M):
@@ -116,9 +119,8 @@ def mass_flux(dofs, density, phi, q, part, last, now, flux):
 
 
 @by_dimension
-def transport_matrix(dofs, place, grad, volume, density, stress, dt, phi1, rate, flux, open_node, thetas, upwind, u, values,
-                     rhs):
-    """Add lumped mass, skew-symmetric convection and viscosity to ``values``; one theta step of the latter two, theta by
+def transport_matrix(cells, step, entries, void, stress, flux, open_node, thetas, u, rhs):
+    """Add lumped mass, skew-symmetric convection and viscosity to ``entries``; one theta step of the latter two, theta by
     cell.
 
     ``stress`` is the cell's share of the stress times the viscosity. The void fraction's rate enters as the divergence that
@@ -126,6 +128,8 @@ def transport_matrix(dofs, place, grad, volume, density, stress, dt, phi1, rate,
     where continuity is not imposed, take the rate itself. What acts on the old velocity u goes to ``rhs``. With ``upwind``,
     what couples two nodes with the wrong sign goes to the diagonal: no node is repelled by another.
     """
+    dofs, grad, volume, place, values = cells.dofs, cells.gradient, cells.volume, entries.place, entries.values
+    phi1, rate, density, dt, upwind = void.fraction, void.rate, step.density, step.dt, step.upwind
     n = len(dofs)
     share = 1.0 / M
     parts = u.shape[1]
@@ -167,7 +171,7 @@ def transport_matrix(dofs, place, grad, volume, density, stress, dt, phi1, rate,
 
 
 @njit(fastmath=FAST)
-def open_boundary(place, cell, local, area_normal, flux, values):
+def open_boundary(place, values, cell, local, area_normal, flux):
     """Half the outgoing mass flux on open facets, lumped; the flux that comes in brings no energy (backflow-safe)."""
     d = flux.shape[1]
     for f in range(len(cell)):
@@ -182,13 +186,15 @@ def open_boundary(place, cell, local, area_normal, flux, values):
 
 
 @by_dimension
-def memory(dofs, mass0, mass1, q, u, dt, theta, lag, gain, nodal_gain, fades, kept, mass, defect):
+def fade(cells, step, masses, q, u, known, kept, mass, defect):
     """What the nodes do not carry, r = q - mean u, fades at a rate k; ``defect`` gets the momentum that lost, per node,
     ``fades`` the change per time, ``mass`` the nodal mass at the end of the step.
 
     Drag and pressure feed r with a = gain - mean nodal gain, as of the last step. They act after the fading, over a whole
     step; what fades of that meanwhile, lag times a, is taken off beforehand. So r = a / k in a steady state.
     """
+    dofs, dt, mass0, mass1 = cells.dofs, step.dt, masses.before, masses.after
+    gain, nodal_gain, fades, theta, lag = known.gain, known.nodal_gain, known.fades, known.theta, known.lag
     n = len(dofs)
     share = 1.0 / M
     for c in range(n):
@@ -208,8 +214,7 @@ def memory(dofs, mass0, mass1, q, u, dt, theta, lag, gain, nodal_gain, fades, ke
 
 
 @by_dimension
-def exchange_system(dofs, grad, volume, density, dt, phi, part, supply, drag, source, body, u, correction, kept, q, diagonal,
-                    weight, rhs):
+def exchange_system(cells, step, phi, given, u, correction, kept, q, equation):
     """Cell velocities before the pressure, and the right-hand side of the Poisson equation that follows from eliminating
     them.
 
@@ -217,6 +222,9 @@ def exchange_system(dofs, grad, volume, density, dt, phi, part, supply, drag, so
     pressure gradient and body force f that the fluid takes, phi unless the step is one of several; ``weight`` is that of the
     equation. f is ``body``, of each cell or of all.
     """
+    dofs, grad, volume, density, dt = cells.dofs, cells.gradient, cells.volume, step.density, step.dt
+    part, supply, drag, source, body = given.part, given.supply, given.drag, given.source, given.body
+    diagonal, weight, rhs = equation.diagonal, equation.weight, equation.rhs
     n, varies = len(dofs), len(body) > 1
     share = 1.0 / M
     for c in range(n):
@@ -251,9 +259,10 @@ def poisson_matrix(dofs, place, grad, weight, values):
 
 
 @by_dimension
-def pressure_step(dofs, grad, volume, density, dt, phi, part, diagonal, p, transported, q, gain, change):
+def pressure_step(cells, step, phi, part, diagonal, p, transported, q, gain, change):
     """Subtract part grad p / (rho phi/dt + A) from q; ``gain`` is the acceleration, ``change`` the momentum per time and
     node."""
+    dofs, grad, volume, density, dt = cells.dofs, cells.gradient, cells.volume, step.density, step.dt
     n = len(dofs)
     share = 1.0 / M
     for c in range(n):

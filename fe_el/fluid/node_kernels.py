@@ -1,5 +1,6 @@
 """Numba loops over the nodes of the cell-node scheme; ghosts that no cell of this rank has are without mass and left out."""
 from fe_el.compiled.cache import njit
+from fe_el.compiled.direct_calls import Direct
 from fe_el.compiled.for_each_dimension import FAST
 
 
@@ -20,9 +21,10 @@ def relaxed(start, sums, upwind, whole, mass, out):
 
 
 @njit(fastmath=FAST)
-def transport_load(mass, u, last_change, force, explicit, lift, dt, held, boundary, diagonal, rhs, system, guess):
-    """Right-hand side of transport (nodes, d), that of the systems of each component (d, owned nodes) with fixed values, and
-    a guess of the solutions."""
+def _transport_load(mass, u, last_change, load, dt, held, diagonal, out):
+    """Fill right-hand side, systems with held values, and guesses, of a :class:`NodalSystem`."""
+    force, explicit, lift, rhs, system, guess = load.force, load.explicit, load.lift, out.rhs, out.system, out.guess
+    boundary = held.values
     owned = len(diagonal)
     for i in range(len(u)):
         for k in range(u.shape[1]):
@@ -30,10 +32,13 @@ def transport_load(mass, u, last_change, force, explicit, lift, dt, held, bounda
             if i < owned:
                 system[k, i] = rhs[i, k] + lift[i, k]
                 guess[k, i] = u[i, k] + last_change[i, k]
-    for i in held:
+    for i in held.nodes:
         if i < owned:
             for k in range(u.shape[1]):
                 system[k, i] = diagonal[i] * boundary[i, k]
+
+
+transport_load = Direct(_transport_load)
 
 
 @njit(fastmath=FAST)

@@ -7,6 +7,7 @@ from dolfinx import fem
 from fe_el.checks import number_or_function, numbers, of_kind, positive_number
 from fe_el.fluid import cell_kernels, kernels, node_kernels
 from fe_el.fluid.cells_and_nodes import CellsAndNodes
+from fe_el.fluid.records import Held, Load, NodalSystem, Step, Void
 from fe_el.nodes.linear_solver import LinearSolver
 from fe_el.nodes.nodal_kernels import scatter
 from fe_el.nodes.nodal_matrix import NodalMatrix
@@ -119,18 +120,17 @@ class Scalar:
         if self.fluid.step_flux is None:
             raise ValueError("The scalar's fluid has not made a step yet; call fluid.advance(dt) first, then this with the "
                              "same step.")
-        air, work, place, values = self.fluid, self.work, self.matrix.place, self.matrix.values
-        values.fill(0.0)
+        air, work = self.fluid, self.work
+        self.matrix.values.fill(0.0)
         old, rhs = work.empty("old", air.nodes, 1), work.zeros("rhs", air.nodes, 1)
         old[:, 0] = self.value.x.array
         phi0, phi1 = air.void_fractions
         middle = air.time - 0.5 * dt if air.second_order else air.time
         share, stress = work.empty("share", air.num_cells), work.empty("stress", air.num_cells)
         cell_kernels.stress_of(phi0, phi1, air.second_order, air.density * self.diffusivity, False, share, stress)
-        kernels.transport_matrix(air.dofs, place, air.gradient, air.volume, air.density, stress, dt, phi1, air.rate,
-                                 air.step_flux,
-                                 work.zeros("none", air.nodes), air.theta_of(self.diffusivity, dt), air.upwind, old, values,
-                                 rhs)
+        kernels.transport_matrix(air.cells, Step(dt, air.density, self.diffusivity, air.upwind), self.matrix.entries,
+                                 Void(phi1, air.rate), stress, air.step_flux, work.zeros("none", air.nodes),
+                                 air.theta_of(self.diffusivity, dt), old, rhs)
         if self.source is not None:
             supply = np.multiply(air.at_cells(self.source, (air.num_cells,), middle), air.volume,
                                  out=work.empty("supply", air.num_cells))
@@ -156,8 +156,8 @@ class Scalar:
         self.matrix.release()
         self.solver.new_values()
         load, system, guess = work.empty("load", air.nodes, 1), work.empty("system", 1, own), work.empty("guess", 1, own)
-        node_kernels.transport_load(air.mass0, old, self._unmoved, self._unmoved, rhs, lift, dt, self._held, boundary,
-                                    self.matrix.diagonal(), load, system, guess)
+        node_kernels.transport_load(air.mass0, old, self._unmoved, Load(self._unmoved, rhs, lift), dt,
+                                    Held(self._held, boundary), self.matrix.diagonal(), NodalSystem(load, system, guess))
         new = work.empty("new", air.nodes, 1)
         new[:own, 0] = self.solver.solve(system[0], guess[0])
         air.node_halo.forward(new)

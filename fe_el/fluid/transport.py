@@ -3,11 +3,20 @@ import numpy as np
 
 from fe_el.fluid import cell_kernels, kernels, node_kernels
 from fe_el.fluid.continuity import ClosedFlux
+from fe_el.fluid.records import Held, Load, Masses, Memory, NodalSystem, Step, Void
 from fe_el.parallel.messages import largest
 
 
 class Transport:
     """Convection and viscosity by the nodal velocity, of a fluid of cells and nodes."""
+
+    def numbers_of_step(self, dt):
+        """A step of ``dt`` [s], for the loops."""
+        return Step(float(dt), float(self.density), self.viscosity / self.density, self.upwind)
+
+    def memory(self):
+        """What the nodes do not carry, for the loops."""
+        return Memory(self.gain, self.nodal_gain, self.fades, self.theta, self.lag)
 
     def theta_of(self, diffusivity, dt):
         """Implicit part (cells,) of transport: 1/2, and more where diffusion is so fast that half a step of it would only
@@ -52,9 +61,8 @@ class Transport:
         start = work.zeros("start", self.nodes, d) if self.nodal_velocity is None else self.nodal_velocity
         sums, u = work.zeros("sums", self.nodes, 2 + 2 * d), work.empty("relaxed", self.nodes, d)
         self.mass0 = work.empty("mass0", self.nodes)
-        kernels.mass_and_misfit(self.dofs, self.cell_mass0, q, start, self.h, self.viscosity / self.density, dt,
-                                self.damping, self.gain,
-                                self.nodal_gain, self.fades, self.upwind, self.at_wall, sums, self.theta, self.lag)
+        kernels.mass_and_misfit(self.cells, self.numbers_of_step(dt), self.cell_mass0, self.damping, q, start,
+                                self.memory(), self.at_wall, sums)
         self.complete(sums)
         node_kernels.relaxed(start, sums, self.upwind, self.nodal_velocity is None, self.mass0, u)
         self.impose(u)
@@ -65,9 +73,8 @@ class Transport:
         lost."""
         kept, defect = self.work.empty("kept", *q.shape), self.work.zeros("defect", self.nodes, self.dimension)
         self.mass = self.work.zeros("mass", self.nodes)
-        kernels.memory(self.dofs, self.cell_mass0, self.cell_mass, q, u, dt, self.theta, self.lag, self.gain,
-                       self.nodal_gain,
-                       self.fades, kept, self.mass, defect)
+        masses = Masses(self.cell_mass0, self.cell_mass)
+        kernels.fade(self.cells, self.numbers_of_step(dt), masses, q, u, self.memory(), kept, self.mass, defect)
         self.complete(self.mass)
         return kept, defect
 
@@ -87,34 +94,32 @@ class Transport:
             transported nodal velocity, and what cells keep beside it.
         """
         d, work, own = self.dimension, self.work, self.owned_nodes
-        place, values = self._transport.place, self._transport.values
         share, stress = self._stress(phi0, phi, u)
         self._stress_now = stress
         explicit, lift = work.zeros("explicit", self.nodes, d), work.zeros("lift", self.nodes, d)
-        values.fill(0.0)
-        kernels.transport_matrix(self.dofs, place, self.gradient, self.volume, self.density, stress, dt, phi, self.rate,
-                                 flux,
-                                 self.fixed_pressure, self.theta_of(self.viscosity / self.density, dt), self.upwind, u,
-                                 values, explicit)
+        self.transport_matrix.values.fill(0.0)
+        kernels.transport_matrix(self.cells, self.numbers_of_step(dt), self.transport_matrix.entries, Void(phi, self.rate),
+                                 stress, flux, self.fixed_pressure, self.theta_of(self.viscosity / self.density, dt), u,
+                                 explicit)
         if self.drag_inside.active:
             self.drag_inside.add(dt, q, u, explicit)
         if self.stabilisation is not None and not self.upwind:
-            self.stabilisation(self, share, flux, u, self._transport, explicit)
+            self.stabilisation(self, share, flux, u, self.transport_matrix, explicit)
         if self.wall_friction is not None:
-            self.wall_friction.add(dt, stress, u, self._transport, explicit)
+            self.wall_friction.add(dt, stress, u, self.transport_matrix, explicit)
         for facets, _ in self.outlets:
-            kernels.open_boundary(place, facets.cell, facets.local, facets.area_normal, flux, values)
-        self._transport.fix(self.fixed, lift, self.boundary_velocity)
+            kernels.open_boundary(*self.transport_matrix.entries, facets.cell, facets.local, facets.area_normal, flux)
+        self.transport_matrix.fix(self.fixed, lift, self.boundary_velocity)
         self.complete(explicit, lift)
         explicit += self.slip_force  # of the last step: transport does not know what keeps the flow along slip walls
-        self._transport.assemble()
-        self._transport.release()
+        self.transport_matrix.assemble()
+        self.transport_matrix.release()
         self.transport_solver.new_values()
         rhs, system, guess = work.empty("rhs", self.nodes, d), work.empty("system", d, own), work.empty("guess", d, own)
         given = work.zeros("no_force", self.nodes, d) if self.drag_inside.active else self.force
-        node_kernels.transport_load(self.mass0, u, self.last_change, given, explicit, lift, dt, self.held,
-                                    self.boundary_velocity,
-                                    self._transport.diagonal(), rhs, system, guess)
+        node_kernels.transport_load(self.mass0, u, self.last_change, Load(given, explicit, lift), dt,
+                                    Held(self.held, self.boundary_velocity), self.transport_matrix.diagonal(),
+                                    NodalSystem(rhs, system, guess))
         new = work.empty("transported", self.nodes, d)
         for k in range(d):
             new[:own, k] = self.transport_solver.solve(system[k], guess[k])
@@ -132,7 +137,7 @@ class Transport:
         """
         d, work = self.dimension, self.work
         balance = work.zeros("balance", self.nodes, d)
-        self._transport.subtract_product(new, balance)
+        self.transport_matrix.subtract_product(new, balance)
         self.complete(balance, defect)
         self._correction = work.empty("correction", self.nodes, d)
         node_kernels.close_transport(self.mass, rhs, balance, defect, dt, self.held, new, self._correction)

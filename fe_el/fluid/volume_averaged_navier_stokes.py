@@ -13,6 +13,7 @@ from fe_el.fluid.cells_and_nodes import CellsAndNodes
 from fe_el.fluid.continuity import Ledger
 from fe_el.fluid.drag_in_transport import DragInTransport
 from fe_el.fluid.pressure_equation import PressureEquation
+from fe_el.fluid.records import Exchange, PressureSystem
 from fe_el.fluid.transport import Transport
 from fe_el.nodes.linear_solver import LinearSolver
 from fe_el.nodes.nodal_matrix import NodalMatrix
@@ -120,8 +121,8 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
             for solver in (*self._solvers, *([self._closed_flux.solver] if self._closed_flux else ())):
                 solver.free()
         self.ready, self.as_new = True, False
-        self._transport = NodalMatrix(self.space, self.dofs)
-        self.transport_solver = LinearSolver(self._transport.matrix, "transport", "bcgs", "jacobi", self.tolerance)
+        self.transport_matrix = NodalMatrix(self.space, self.dofs)
+        self.transport_solver = LinearSolver(self.transport_matrix.matrix, "transport", "bcgs", "jacobi", self.tolerance)
         self._hold_nodes()
         self._thetas, self._steady_inflow, self._closed_flux = {}, None, None
         self.pressure_equation, self.drag_inside = PressureEquation(self), DragInTransport(self)
@@ -208,9 +209,9 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
             body += self.at_cells(self.body_force, (n, d), self.time - (0.5 * dt if self.second_order else 0.0))
         if handed is not None:  # of the solved pressure alone
             body, share = (share / (share + handed))[:, None] * body, share + handed
-        kernels.exchange_system(self.dofs, self.gradient, self.volume, self.density, dt, phi, share, self.supply, drag,
-                                source,
-                                body, nodal, self._correction, transported, q, diagonal, weight, rhs)
+        step = self.numbers_of_step(dt)
+        kernels.exchange_system(self.cells, step, phi, Exchange(share, self.supply, drag, source, body), nodal,
+                                self._correction, transported, q, PressureSystem(diagonal, weight, rhs))
         self.inflow = self.inflow_at(self.time)
         rhs += self.inflow
         if not self.outlets:
@@ -218,8 +219,8 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
         self.pressure_equation.solve(weight, rhs)
         change = work.other("force", self.force, self.nodes, d)
         change.fill(0.0)
-        kernels.pressure_step(self.dofs, self.gradient, self.volume, self.density, dt, phi, share, diagonal,
-                              self.pressure.x.array, transported, q, self.gain, change)
+        kernels.pressure_step(self.cells, step, phi, share, diagonal, self.pressure.x.array, transported, q, self.gain,
+                              change)
         self.complete(change)
         self.velocity.x.array.reshape(-1, d)[:n] = q
         self.cell_halo.forward(self.velocity.x.array.reshape(-1, d))

@@ -51,8 +51,9 @@ def unresolved_friction(facets, volume, stress, drag, coefficient, out):
 
 
 @by_dimension
-def add_friction(dofs, place, facets, stress, consistent, thetas, u, wall, past, values, rhs):
-    """Add -(mu du/dn, w) - (mu dw/dn, u - wall) + (C mu/h (u - wall), w), lumped, to ``values`` and ``rhs``."""
+def add_friction(dofs, entries, facets, stress, consistent, thetas, u, wall, past, rhs):
+    """Add -(mu du/dn, w) - (mu dw/dn, u - wall) + (C mu/h (u - wall), w), lumped, to ``entries`` and ``rhs``."""
+    place, values = entries.place, entries.values
     for f in range(len(dofs)):
         c, n = facets.cell[f], 0
         a, t = consistent * stress[c] * facets.size[f, 1], thetas[c]
@@ -181,7 +182,7 @@ class WallFriction:
             self._set_velocity(air.time)
         self._last = (self.facets, stress, 0.0 if air.upwind else 1.0, air.theta_of(air.viscosity / air.density, dt), u,
                       self.velocity, self.past)
-        add_friction(self.dofs, matrix.place, *self._last, matrix.values, rhs)
+        add_friction(self.dofs, matrix.entries, *self._last, rhs)
 
     def close(self, new):
         """Keep the forces on the facets that the solution of transport gives."""

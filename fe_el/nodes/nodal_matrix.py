@@ -1,5 +1,6 @@
 """PETSc matrices on the nodes of a mesh, filled cell by cell."""
 import ctypes
+from typing import NamedTuple
 
 import numpy as np
 from petsc4py import PETSc
@@ -9,6 +10,13 @@ from fe_el.nodes import nodal_kernels
 _petsc = ctypes.CDLL(PETSc.__file__)  # petsc4py 3.22 has no matrices from coordinates
 _petsc.MatSetPreallocationCOO.argtypes = [ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_void_p, ctypes.c_void_p]
 _petsc.MatSetValuesCOO.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int]
+
+
+class Entries(NamedTuple):
+    """Entries of a matrix, for compiled loops that add to them."""
+
+    place: np.ndarray  #: (cells, m, m) entry of each pair of nodes of a cell
+    values: np.ndarray  #: (entries,)
 
 
 class NodalMatrix:
@@ -38,6 +46,11 @@ class NodalMatrix:
         rows, columns = (index_map.local_to_global(i.astype(np.int32)).astype(PETSc.IntType) for i in (row, column))
         self._check(_petsc.MatSetPreallocationCOO(self.matrix.handle, rows.size, rows.ctypes.data, columns.ctypes.data))
         self.dofs, self._row, self._nodes, self._diagonal = dofs, row, None, self.matrix.createVecRight()
+
+    @property
+    def entries(self):
+        """Places and values of the entries."""
+        return Entries(self.place, self.values)
 
     def add(self, elements):
         """Add element matrices (cells, m, m)."""

@@ -1,9 +1,20 @@
 """Owned cells of a mesh and the nodes (P1) that belong to them, as plain arrays."""
+from typing import NamedTuple
+
 import numpy as np
 
 from fe_el.dolfinx_api import dof_table, scalar_space
 from fe_el.mesh.cell_mesh import barycentric_maps, owned_corners
 from fe_el.parallel.exchange import Halo
+
+
+class Cells(NamedTuple):
+    """Owned cells of a mesh, for compiled loops."""
+
+    dofs: np.ndarray  #: (cells, d + 1) nodes, without a sign
+    gradient: np.ndarray  #: (cells, d + 1, d) gradients of the hat functions [1/m]
+    volume: np.ndarray  #: (cells,) [m^d]
+    size: np.ndarray  #: (cells,) width h [m]
 
 
 class NodalSpace:

@@ -1,0 +1,100 @@
+"""What the loops of the cell-node scheme are given, by name; n cells, m nodes, d dimensions.
+
+Loops take the arrays that they need out of a record before they begin.
+"""
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Step(NamedTuple):
+    """Numbers of a step."""
+
+    dt: float  #: [s]
+    density: float  #: [kg/m^3]
+    nu: float  #: kinematic viscosity [m^2/s]
+    upwind: bool
+
+
+class Masses(NamedTuple):
+    """Masses of the fluid in the cells [kg]."""
+
+    before: np.ndarray  #: (n,)
+    after: np.ndarray  #: (n,)
+
+
+class Void(NamedTuple):
+    """The void fraction at the end of the step, and its rate."""
+
+    fraction: np.ndarray  #: (n,)
+    rate: np.ndarray  #: (n,) [1/s]
+
+
+class Memory(NamedTuple):
+    """What the nodes do not carry, and what feeds and fades it; gains and fades are those of the last step."""
+
+    gain: np.ndarray  #: (n, d) acceleration of the cells by drag and pressure [m/s^2]
+    nodal_gain: np.ndarray  #: (m, d) the nodes' part [m/s^2]
+    fades: np.ndarray  #: (n, d) what faded per time [m/s^2]
+    theta: np.ndarray  #: (n,) part that is left after the step
+    lag: np.ndarray  #: (n,) time of the step in which the gain does not fade, as it acts at the end [s]
+
+
+class Drag(NamedTuple):
+    """Drag and sources as transport sees them."""
+
+    now: np.ndarray  #: (n,) coefficient A [kg/(m^3 s)]
+    last: np.ndarray  #: (n,) that of the last step
+    source: np.ndarray  #: (n, d) B [N/m^3]
+    gain: np.ndarray  #: (n, d) what drag and source gave in the last step, per mass [m/s^2]
+    split: np.ndarray  #: (n,) share of viscosity in the fading
+    part: np.ndarray  #: (n,) of the mean nodal velocity that comes off the gain [1/s]
+
+
+class Faded(NamedTuple):
+    """Nodal sums of transport with drag."""
+
+    mass: np.ndarray  #: (m,) at the end of the step [kg]
+    defect: np.ndarray  #: (m, d) momentum that faded by convection [kg m/s]
+    force: np.ndarray  #: (m, d) that transport was given [N]
+
+
+class Exchange(NamedTuple):
+    """What acts on the cells in the exchange."""
+
+    part: np.ndarray  #: (n,) share of pressure gradient and body force that the fluid takes
+    supply: np.ndarray  #: (n,) volume that the cells give off per volume and time [1/s]
+    drag: np.ndarray  #: (n,) [kg/(m^3 s)]
+    source: np.ndarray  #: (n, d) [N/m^3]
+    body: np.ndarray  #: (n or 1, d) body force [N/m^3]
+
+
+class PressureSystem(NamedTuple):
+    """Eliminated cells, and the Poisson equation that follows."""
+
+    diagonal: np.ndarray  #: (n,) rho phi / dt + A
+    weight: np.ndarray  #: (n,) of the equation, with the cell's volume
+    rhs: np.ndarray  #: (m,)
+
+
+class Load(NamedTuple):
+    """What acts on the nodes in transport [N]."""
+
+    force: np.ndarray  #: (m, d) given beforehand
+    explicit: np.ndarray  #: (m, d) by the velocity before
+    lift: np.ndarray  #: (m, d) by the nodes that boundaries hold
+
+
+class Held(NamedTuple):
+    """Nodes that boundaries hold."""
+
+    nodes: np.ndarray
+    values: np.ndarray  #: (m, d) of all nodes; those of others do not count
+
+
+class NodalSystem(NamedTuple):
+    """Right-hand side of transport, the systems of its components, and guesses of their solutions."""
+
+    rhs: np.ndarray  #: (m, d)
+    system: np.ndarray  #: (d, owned nodes)
+    guess: np.ndarray  #: (d, owned nodes)
