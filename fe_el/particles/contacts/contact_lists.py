@@ -240,7 +240,8 @@ class ContactLists:
     def collect(self, step, layout):
         """Springs of the live contacts of the present lists: of pairs, facets and shapes."""
         if self.pairs is None:
-            kept, old = self.restored or ([springs.none(self.width)] * 3, self.particles.id)  # of a checkpoint, of other walls
+            # of a checkpoint, of other walls
+            kept, old = self.restored or ([springs.none(self.width)] * 3, self.particles.id)
             return [springs.renumbered(one, old, self.particles.id) for one in kept]
         n = self.ghosts.owned
         out = [springs.Kept(*springs.collect_springs(*where, entries.spring, entries.stamp, step, entries is self.pairs, n,
