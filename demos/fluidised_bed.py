@@ -98,6 +98,15 @@ def drag_law_drop(beads, law, velocity, area):
     return drop
 
 
+def drop_by_cells(bed, area):
+    """Pressure drop [Pa] that balances the drag of the last step in every cell, with the velocity that the gas has there."""
+    cells, d = bed.beads.cells, 3
+    n, (void, drag, source) = cells.owned, [field.x.array for field in bed.coupling.fields[:3]]
+    upwards = bed.air.velocity.x.array.reshape(-1, d)[:n, 2]
+    force = (drag[:n] * upwards - source.reshape(-1, d)[:n, 2]) / void[:n]
+    return bed.beads.comm.allreduce(float(force @ cells.volume[:n])) / area
+
+
 class Record:
     """Pressure drop, mean heights and energy against time, and snapshots of the beads."""
 
@@ -175,7 +184,8 @@ def finish(output, record, bed, numbers, weight, area):
     if bed.air:
         numbers |= {"pressure_drop_over_weight": drop.mean() / weight,
                     "drag_law_pressure_drop": drag_law_drop(bed.beads, bed.coupling.drag, numbers["superficial_velocity"],
-                                                            area)}
+                                                            area),
+                    "drag_by_cells_pressure_drop": drop_by_cells(bed, area)}
     if bed.beads.comm.rank == 0:
         picture(output, rows, record.snapshots, numbers)
     return fe_el.write_summary(output, bed.beads.comm, **numbers)

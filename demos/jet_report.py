@@ -1,4 +1,4 @@
-"""Schemes of the jet in cross flow beside each other, and what the paper leaves open varied: ``jet_in_cross_flow.py --report``."""
+"""Schemes of the jet in cross flow side by side, and what the paper leaves open: ``jet_in_cross_flow.py --report``."""
 import csv
 from pathlib import Path
 
