@@ -8,13 +8,16 @@ import numpy as np
 FLAGS = 0x1 | 0x2 | 0x100 | 0x400  # of an array: in the order of C, of Fortran, aligned, writeable
 
 
-def _kind(argument):
-    """What decides which compiled version takes an argument."""
-    if isinstance(argument, np.ndarray):
-        return argument.dtype.char, argument.ndim, argument.flags.num & FLAGS
-    if isinstance(argument, tuple):
-        return type(argument), tuple(map(_kind, argument))
-    return type(argument)
+def _add_kinds(arguments, kinds):
+    """Append what decides which compiled version takes some arguments."""
+    for argument in arguments:
+        if isinstance(argument, np.ndarray):
+            kinds.append(argument.dtype.num << 16 | argument.ndim << 12 | argument.flags.num & FLAGS)
+        elif isinstance(argument, tuple):
+            kinds += type(argument), len(argument)
+            _add_kinds(argument, kinds)
+        else:
+            kinds.append(type(argument))
 
 
 class Direct:
@@ -29,7 +32,9 @@ class Direct:
         self.dispatcher, self._entries = dispatcher, {}
 
     def __call__(self, *arguments):
-        kinds = tuple(map(_kind, arguments))
+        kinds = []
+        _add_kinds(arguments, kinds)
+        kinds = tuple(kinds)
         entry = self._entries.get(kinds)
         if entry is not None:
             return entry(*arguments)

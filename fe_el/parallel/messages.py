@@ -4,7 +4,6 @@ Handles are passed as what they are in memory, so that any MPI that mpi4py was b
 """
 import ctypes
 import math
-from typing import NamedTuple
 
 import llvmlite.binding
 import numpy as np
@@ -23,57 +22,42 @@ _reduce = types.ExternalFunction("MPI_Allreduce", types.int32(types.voidptr, typ
                                                               types.intp))
 
 
-class Messages(NamedTuple):
-    """Persistent requests, which whoever made them must keep."""
-
-    handles: np.ndarray
-    statuses: np.ndarray
-    number: int
-
-
-class Ranks(NamedTuple):
-    """A communicator, as :func:`largest` needs it."""
-
-    size: int
-    comm: int  #: handles
-    number: int
-    largest: int
-    room: np.ndarray  #: (2,)
-
-
 def _handle(thing):
     """Bytes of the handle of an MPI object."""
     return ctypes.string_at(MPI._addressof(thing), MPI._sizeof(thing))
 
 
 def messages_of(requests):
-    """What :func:`exchange` needs of persistent requests, which the caller must keep."""
+    """What :func:`exchange` needs of persistent requests, which the caller must keep: handles, statuses, number."""
     handles = np.frombuffer(bytearray(b"".join(_handle(r) for r in requests)), np.uint8)
-    return Messages(handles, np.zeros(len(requests) * MPI._sizeof(MPI.Status), np.uint8), len(requests))
+    return handles, np.zeros(len(requests) * MPI._sizeof(MPI.Status), np.uint8), len(requests)
 
 
 def ranks_of(comm):
-    """What :func:`largest` needs of a communicator."""
+    """What :func:`largest` needs of a communicator: number of ranks, handles, and room for the number.
+
+    A plain tuple, which numba recognises fast outside of compiled loops, too.
+    """
     handles = [int.from_bytes(_handle(thing), "little") for thing in (comm, MPI.DOUBLE, MPI.MAX)]
-    return Ranks(comm.size, *handles, np.zeros(2))
+    return comm.size, tuple(handles), np.zeros(2)
 
 
 @njit
 def exchange(messages):
     """Start all messages and wait for them."""
-    number, handles = messages.number, messages.handles
-    if number and (_start(number, handles.ctypes) or _wait(number, handles.ctypes, messages.statuses.ctypes)):
+    handles, statuses, number = messages
+    if number and (_start(number, handles.ctypes) or _wait(number, handles.ctypes, statuses.ctypes)):
         raise RuntimeError("MPI could not exchange the ghosts.")
 
 
 @njit
 def largest(ranks, number):
     """Largest of a number over all ranks; what is not a number counts as infinite. Collective."""
-    room = ranks.room
+    size, (comm, kind, operation), room = ranks
     number = math.inf if math.isnan(number) else number
-    if ranks.size == 1:
+    if size == 1:
         return number
     room[0] = number
-    if _reduce(room.ctypes, room[1:].ctypes, 1, ranks.number, ranks.largest, ranks.comm):
+    if _reduce(room.ctypes, room[1:].ctypes, 1, kind, operation, comm):
         raise RuntimeError("MPI could not find the largest number.")
     return room[1]

@@ -7,7 +7,7 @@ from mpi4py import MPI
 
 from fe_el.compiled.cache import njit
 from fe_el.compiled.direct_calls import Direct
-from fe_el.parallel.messages import Messages, Ranks, exchange, messages_of, ranks_of
+from fe_el.parallel.messages import exchange, messages_of, ranks_of
 from fe_el.particles.contacts.neighbours import bounds
 
 
@@ -20,8 +20,8 @@ class GhostRows(NamedTuple):
     images: np.ndarray  #: rows of the particles that have periodic images on this rank
     image_rows: np.ndarray  #: (images, 9) their part of ``incoming``
     shift: np.ndarray  #: (ghosts, 3) what is added to their positions [m]
-    messages: Messages
-    ranks: Ranks
+    messages: tuple  #: see :func:`fe_el.parallel.messages.messages_of`
+    ranks: tuple  #: see :func:`fe_el.parallel.messages.ranks_of`
 
 
 @njit
