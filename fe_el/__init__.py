@@ -4,8 +4,8 @@ Fluid: VolumeAveragedNavierStokes, SubCycled, Scalar, Probe, TimeAverage, ramp, 
     eddy viscosities Smagorinsky, Vreman, Wale; wall law Spalding; stabilisations Streamline, Upwind;
     turbulent inlets PowerLaw, LogLaw, SyntheticEddies
 Particles: Particles, Inlet, LostParticle, Contacts; laws LinearSpringDashpot, HertzMindlin, RollingFriction, ArrayLaw;
-    walls FacetWalls, PlaneWall, CylinderWall; Injector with FacetSource, DiscSource or PointSource; SizeDistribution;
-    MultiphasePIC with SolidsStress in the place of contacts
+    walls FacetWalls, PlaneWall, CylinderWall, SurfaceWall; Injector with FacetSource, DiscSource or PointSource;
+    SizeDistribution; MultiphasePIC with SolidsStress in the place of contacts
 Coupling: Coupling; forces Drag, PressureGradient, ViscousStress, Buoyancy, AddedMass, SaffmanLift, MagnusLift, Torque,
     UndisturbedVelocity, TurbulentDispersion and own ones; drag_laws; HelmholtzSmoothing, PatchAverage; OverlapVolume,
     SatellitePoints, ParticleCentred, HatKernel, WellMixed; time_scales
@@ -47,6 +47,7 @@ _NAMES = {
     "particles.contacts.contact_laws": "LinearSpringDashpot HertzMindlin RollingFriction",
     "particles.contacts.contacts": "Contacts",
     "particles.contacts.wall_shapes": "FacetWalls PlaneWall CylinderWall",
+    "particles.contacts.wall_surfaces": "SurfaceWall",
     "particles.injection": "Injector",
     "particles.open_boundaries": "Inlet",
     "particles.particles": "Particles LostParticle",

@@ -52,14 +52,23 @@ def contacts_state(c):
             other = lists.facets.corner.mean(1)[partner]
         out[name] = (None, {"id": p.id[particle], "other": other, "spring": spring})
     skin = np.nan if lists.skin is None else lists.skin
-    out["same"] = (None, {"step": c.step, "shape": lists.shape, "motion": lists.motion, "skin": skin, "age": lists.age,
+    turned = np.array([getattr(wall, "turned", np.eye(3)) for wall in lists.walls])
+    out["same"] = (None, {"step": c.step, "time": c.time, "turned": turned, "shape": lists.shape,
+                          "motion": lists.motion, "skin": skin, "age": lists.age,
                           "rebuilds": lists.rebuilds, "known": c.layout == p.layout, "largest_overlap": c.largest_overlap})
     return out
 
 
 def set_contacts(c, state):
     """Springs for the particles of this rank, given to the lists when these are made next; load the particles first."""
-    lists, p, kept = c.lists, c.particles, []
+    lists, p, kept, same = c.lists, c.particles, [], state["same"]
+    lists.shape[:], lists.motion[:] = same["shape"], same["motion"]
+    lists.move_walls()
+    for wall, row, turned in zip(lists.walls, lists.motion, same["turned"]):
+        wall.point, wall.velocity, wall.angular_velocity = row[:3].copy(), row[3:6].copy(), row[6:].copy()
+        if hasattr(wall, "turned"):
+            wall.turned = turned
+    lists.pose_surfaces()
     order = np.argsort(p.id)
     for name in ("pairs", "facets", "shapes"):
         rows = state[name]
@@ -71,15 +80,10 @@ def set_contacts(c, state):
             other, found = nearest(lists.facets.corner.mean(1), other, None)
             here &= found
         kept.append(Kept(order[place[here]], other[here].astype(np.int64), rows["spring"][here].reshape(-1, lists.width)))
-    same = state["same"]
-    lists.shape[:], lists.motion[:] = same["shape"], same["motion"]
-    lists.move_walls()
-    for wall, row in zip(lists.walls, lists.motion):
-        wall.point, wall.velocity, wall.angular_velocity = row[:3].copy(), row[3:6].copy(), row[6:].copy()
     lists.skin = None if np.isnan(same["skin"]) else float(same["skin"])
     lists.restored, lists.pairs = (kept, p.id.copy()), None
     lists.age, lists.rebuilds = int(same["age"]), int(same["rebuilds"])
-    c.step, c.largest_overlap = int(same["step"]), float(same["largest_overlap"])
+    c.step, c.time, c.largest_overlap = int(same["step"]), float(same["time"]), float(same["largest_overlap"])
     c.layout = p.layout if same["known"] else None
     contacts_anew(c)
 

@@ -8,7 +8,8 @@ from fe_el.particles.contacts import walls as _walls
 from fe_el.particles.contacts.blocks import aligned
 from fe_el.particles.contacts.records import Candidates, FacetRows, Facets, Near, Pairs, Rows, ShapeRows, Tiles, WallRows
 from fe_el.particles.contacts.wall_patches import smooth_patches
-from fe_el.particles.contacts.wall_shapes import FACETS, shape_list
+from fe_el.particles.contacts.wall_shapes import FACETS, SURFACE, move_walls, shape_list
+from fe_el.particles.contacts.wall_surfaces import rotation
 from fe_el.particles.ghosts import Ghosts
 from fe_el.particles.motion import primary_diameters
 
@@ -38,13 +39,23 @@ class ContactLists:
         self.meeting, self.facets = self._facets()
         self.kind, self.wall_top = np.array([w.kind for w in walls] or [FACETS], np.int64), 0.0
         self.motion, self.shape, self.wall_material = self._wall_rows()
+        self.carried, self.turn = np.zeros(0, np.int64), np.tile(np.eye(3), (len(self.motion), 1, 1))
         self.tile_starts, self.strips, self.tile_layout, self.tiles = None, 1, None, waves.NONE
         self.ghosts, self.pairs, self.restored, self.has_shapes = None, None, None, bool((self.kind != FACETS).any())
+        self.pose_surfaces()
 
     def _facets(self):
         """How many smooth pieces of wall meet in a point at most, and all facets of walls."""
         parts = [(_mesh.boundary_facets(self.particles.mesh, w.facet_tags, w.groups), k) for k, w in enumerate(self.walls)
                  if w.kind == FACETS]
+        first = sum(len(f[2]) for f, _ in parts)
+        self.surfaces, self.posed = {}, {}  # facets of each surface, and where it is posed
+        for k, w in enumerate(self.walls):
+            if w.kind == SURFACE:
+                above = max((int(f[1].max()) for f, _ in parts), default=-1) + 1
+                parts.append(((w.corners(), w.vertex + above, np.zeros(len(w.vertex))), k))
+                self.surfaces[k] = slice(first, first + len(w.vertex))
+                first += len(w.vertex)
         if not parts:
             return 1, Facets(np.zeros((0, 3, 3)), np.zeros((0, 3), np.uint32), np.zeros(0, np.uint32), np.zeros((0, 12)),
                              np.zeros((0, 2), np.int64))
@@ -63,9 +74,35 @@ class ContactLists:
         """Take up walls as the user has set them; whether these, or particles changed since, put the lists out of date."""
         before, shapes = (self.motion, self.shape), self.kind != FACETS
         self.motion, self.shape, self.wall_material = self._wall_rows()
+        self.pose_surfaces()
         jumped = (self.motion[:, :3] != before[0][:, :3]).any(1) | (self.shape != before[1]).any(1)
         faster = (self.motion[:, 3:] != before[0][:, 3:]).any() and self._wall_speed() > self.wall_top
         return bool((jumped & shapes).any()) or faster or self._particles_changed()
+
+    def pose_surfaces(self):
+        """Put the facets of surfaces where these are now, and note which of them move."""
+        moving = [self.carried[:0]]
+        for k, rows in self.surfaces.items():
+            wall = self.walls[k]
+            if self.motion[k, 3:].any():
+                moving.append(np.arange(rows.start, rows.stop))
+            if k not in self.posed or not np.array_equal(self.posed[k], (*wall.point, *wall.turned.flat)):
+                self.facets.corner[rows] = wall.corners()
+                self.facets.frame[rows] = _walls.facet_frames(self.facets.corner[rows])
+                self.posed[k] = np.array((*wall.point, *wall.turned.flat))
+                self._reach = -1.0  # cells have other facets near them
+        self.carried = np.concatenate(moving)
+
+    def prepare_turns(self, h):
+        """Rotations of the surfaces in a sub-step of h [s]."""
+        for k in self.surfaces:
+            self.turn[k] = rotation(h * self.motion[k, 6:])
+
+    def move_alone(self, dt):
+        """Move the walls by ``dt`` [s] where there are no particles."""
+        self.motion, self.shape, self.wall_material = self._wall_rows()
+        move_walls(self.kind, self.shape, self.motion, dt)
+        self.move_walls()
 
     def _particles_changed(self):
         p, n = self.particles, len(self.particles)
@@ -81,6 +118,8 @@ class ContactLists:
         for k, wall in enumerate(self.walls):
             if wall.kind != FACETS:
                 wall.moved(self.motion[k, :3], self.shape[k])
+            if wall.kind == SURFACE:
+                self.shape[k] = 0.0
 
     def with_walls(self, walls, step, layout):
         """New lists for other walls, with the springs of all contacts that stay."""
@@ -107,6 +146,7 @@ class ContactLists:
             return 0.0
         moving = self.motion[self.kind != FACETS]
         size = np.ptp(self.particles.position, 0).max(initial=0.0) if len(self.particles) else 0.0
+        size = np.array([w.radius if w.kind == SURFACE else size for w in self.walls if w.kind != FACETS])
         return float((np.linalg.norm(moving[:, 3:6], axis=1) + np.linalg.norm(moving[:, 6:], axis=1) * size).max())
 
     def has_moving_shapes(self):
@@ -123,7 +163,7 @@ class ContactLists:
 
     def wall_rows(self, force, deepest):
         """All walls, with arrays for the forces on them and for the largest overlap."""
-        return WallRows(self.motion, self.wall_material, force, deepest)
+        return WallRows(self.motion, self.wall_material, force, deepest, self.carried, self.turn)
 
     def shape_entries(self):
         """Planes and cylinders near particles, and these as the user has set them."""
@@ -142,8 +182,9 @@ class ContactLists:
         widest = self._room(speed)
         self._check_period(largest, widest)
         p.reach_halo(2 * (largest + self.skin))
-        if len(self.facets.corner) and (self._reach < largest / 2 + widest or self._cells is not p.cells):
-            self._reach, self._cells = 1.2 * (largest / 2 + widest), p.cells
+        reach = largest / 2 + widest + (self.wall_room if len(self.carried) else 0.0)
+        if len(self.facets.corner) and (self._reach < reach or self._cells is not p.cells or len(self.carried)):
+            self._reach, self._cells, self.balls = 1.2 * reach, p.cells, _walls.facet_balls(self.facets.corner)
             self._in_cells = _walls.wall_candidates(p.cells, self.facets.corner, self._reach)
         before, destination = p.id, p.locate()
         if destination is not None:
@@ -284,12 +325,15 @@ class ContactLists:
         none, reach = (np.zeros(0, np.uint32),) * 2, radius + room
         facets = shapes = none
         if len(self.facets.corner):
-            near = _walls.wall_list(x, reach, p.cell, *self._in_cells, self.facets.corner, self.balls)
+            wider = reach + self.wall_room if len(self.carried) else reach
+            near = _walls.wall_list(x, wider, p.cell, *self._in_cells, self.facets.corner, self.balls)
             facets = [a[~p.held[near[0]]].view(np.uint32) for a in near]
         if self.has_shapes:
             near = shape_list(x, reach + self.wall_room, n, self.kind, self.shape, self.motion)
             shapes = [a[~p.held[near[0]]].view(np.uint32) for a in near]
         gaps = (neighbours.gaps(x, radius, room, *pairs), _walls.wall_gaps(x, radius, room, *facets, self.facets.corner))
+        if len(self.carried):  # facets that move are always listed
+            gaps[1][np.isin(facets[1], self.carried)] = -np.inf
         self.candidates = Candidates(*gaps, *(np.empty(len(a) + 1, np.uint32) for a in gaps))
         self.near, self.tiles = Near(-1.0, 0, 0), waves.NONE  # see update_near
         if in_tiles:

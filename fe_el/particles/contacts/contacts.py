@@ -17,7 +17,8 @@ from fe_el.particles.contacts.network import network_of
 from fe_el.particles.contacts.records import Assembly, Drift, Near
 from fe_el.particles.contacts.step_limit import step_limit
 from fe_el.particles.contacts.sub_steps import all_forces, near_numbers, sub_steps, wall_forces
-from fe_el.particles.contacts.wall_shapes import FACETS, FacetWalls, move_walls
+from fe_el.particles.contacts.wall_shapes import FACETS, SURFACE, FacetWalls, move_walls
+from fe_el.particles.contacts.wall_surfaces import carry_facets
 from fe_el.particles.particles import LostParticle, Particles
 
 _kick, _drift_on = Direct(velocity_verlet.kick), Direct(velocity_verlet.drift_on)
@@ -37,14 +38,17 @@ class Contacts:
     Args:
         particles (Particles): the particles.
         law: :class:`LinearSpringDashpot`, :class:`HertzMindlin` or :class:`ArrayLaw` of particle-particle contacts.
-        walls: one or a list of :class:`FacetWalls`, :class:`PlaneWall`, :class:`CylinderWall`; ``(facet_tags, groups)`` is
-            short for ``FacetWalls(facet_tags, groups)``; absent: none.
+        walls: one or a list of :class:`FacetWalls`, :class:`PlaneWall`, :class:`CylinderWall`, :class:`SurfaceWall`;
+            ``(facet_tags, groups)`` is short for ``FacetWalls(facet_tags, groups)``; absent: none. Each has the mean
+            ``force`` and ``torque`` of the particles on it in the last step; give each boundary group a wall of its own to
+            know those of each.
         wall_law: law of wall contacts; absent: ``law``.
         steps_per_contact (int): sub-steps in the shortest contact. The mean restitution, over pairs that touch at any
             moment of a sub-step, is within 0.005 of the law's at 12, 0.002 at 20 and 0.001 at 50.
         skin (float): reach of the neighbour lists beyond contact [m]; absent: adapted to the motion of each particle.
 
     Attributes:
+        time (float): that they have been advanced by, for walls that move by a function of time [s].
         steps_last (int): sub-steps of the last advance.
         largest_overlap (float): largest overlap over the smaller diameter so far.
 
@@ -69,7 +73,7 @@ class Contacts:
         self._check_parts()
         self.lists = contact_lists.ContactLists(particles, list(self.walls), skin, self._spring_width())
         self.pair_block, self.wall_block, self.ranks = new_block(), new_block(), ranks_of(particles.comm)
-        self.step, self.layout, self.stale = 1, None, False
+        self.step, self.layout, self.stale, self.time = 1, None, False, 0.0
         self.seconds = {"neighbours": 0.0, "contacts": 0.0}
         self.touching, self.touching_walls, self.largest_overlap, self.steps_last, self.behind = 0, 0, 0.0, 0, None
 
@@ -92,7 +96,10 @@ class Contacts:
             of_kind("contact law", law, LinearSpringDashpot, HertzMindlin, ArrayLaw)
         for wall in self.walls:
             if isinstance(wall, type) or not hasattr(wall, "motion"):
-                raise ValueError(f"{wall!r} is no wall; use FacetWalls, PlaneWall, CylinderWall or (facet_tags, groups).")
+                raise ValueError(f"{wall!r} is no wall; use FacetWalls, PlaneWall, CylinderWall, SurfaceWall or "
+                                 "(facet_tags, groups).")
+            if wall.kind == SURFACE and self.particles.mesh.topology.dim == 2:
+                raise ValueError("A SurfaceWall is of triangles, the mesh of two dimensions; use planes or facets.")
             if wall.kind == FACETS:
                 require_tags("facet tags of a wall", wall.facet_tags, self.particles.mesh)
         if self.walls and isinstance(self.wall_law, ArrayLaw):
@@ -153,8 +160,12 @@ class Contacts:
     def advance(self, dt):
         """Advance the particles by ``dt`` [s] in velocity Verlet sub-steps."""
         p, tick, renewing = self.particles, time.perf_counter(), self.seconds["neighbours"]
+        for wall in self.walls:
+            wall.follow(self.time + 0.5 * dt)
+        self.time += dt
         if not p.total_number:
             self.steps_last = 0
+            self.lists.move_alone(dt)
             return  # none have come yet, or all have left
         self._take_up()
         if p.all_held() and not self.lists.has_moving_shapes():
@@ -162,7 +173,8 @@ class Contacts:
             return  # nothing can move
         self.steps_last = max(int(np.ceil(dt / self.step_limit() - 1e-9)), 1)
         h, done = dt / self.steps_last, 0
-        self.wall_impulse = np.zeros((max(len(self.walls), 1), 3))
+        self.lists.prepare_turns(h)
+        self.wall_impulse = np.zeros((max(len(self.walls), 1), 6))
         if self.layout != p.layout:
             self._rebuild(h)
             self._first_forces()
@@ -180,7 +192,7 @@ class Contacts:
         start = p.properties.pop("_start_velocity")
         p.mean_contact_force = velocity_verlet.mean_force(p.velocity, start, p.inertia, self._external(), dt)
         for wall, impulse in zip(self.walls, p.comm.allreduce(self.wall_impulse)):
-            wall.force = impulse * h / dt
+            wall.force, wall.torque = impulse[:3] * h / dt, impulse[3:] * h / dt
         self.lists.move_walls()
         self.seconds["contacts"] += time.perf_counter() - tick - (self.seconds["neighbours"] - renewing)
 
@@ -233,6 +245,7 @@ class Contacts:
             rows.force[len(self.particles):] = 0.0
             if lists.has_shapes:
                 move_walls(lists.kind, lists.shape, lists.motion, h)
+                carry_facets(lists.facets, lists.carried, lists.motion, lists.turn, h)
             moved = largest(self.ranks, moved)
             self._forces(h, moved)
             lists.age += 1

@@ -106,8 +106,10 @@ class WallRows(NamedTuple):
 
     motion: np.ndarray  #: (walls, 9) origin, velocity, angular velocity
     material: np.ndarray  #: (walls,)
-    force: np.ndarray  #: (walls, 3) sum over sub-steps [N]
+    force: np.ndarray  #: (walls, 6) sums over sub-steps of force [N] and torque about the origin [N m]
     deepest: np.ndarray  #: (1,) largest overlap over the diameter so far
+    carried: np.ndarray  #: (facets that move,)
+    turn: np.ndarray  #: (walls, 3, 3) rotation of each wall in a sub-step
 
 
 class Tiles(NamedTuple):

@@ -8,6 +8,7 @@ from fe_el.particles.contacts.pair_forces import pair_forces
 from fe_el.particles.contacts.records import Near, ShapeRows
 from fe_el.particles.contacts.velocity_verlet import drift_on
 from fe_el.particles.contacts.wall_shapes import move_walls, shape_forces
+from fe_el.particles.contacts.wall_surfaces import carry_facets
 from fe_el.particles.contacts.walls import facet_forces
 from fe_el.particles.contacts.waves import part_of, refresh_images, wave_length
 from fe_el.particles.ghosts import forward_state
@@ -134,14 +135,16 @@ def sub_steps(most, h, age, wall_rate, assembly, ghosts, tiles, near, step, deep
         particle behind a wall.
     """
     assembly, ghosts, tiles = borrowed(assembly), borrowed(ghosts), borrowed(tiles)
-    rows, drift, shapes = assembly.rows, assembly.drift, assembly.shapes
+    rows, drift, shapes, walls = assembly.rows, assembly.drift, assembly.shapes, assembly.walls
     owned, made, touching, behind, stale, number, ahead, part = len(drift.x0), 0, 0, -1, False, 1, 0.0, 0.5
     while made < most and not stale:
         if number == 1:
             moved, speed, change = drift_on(rows, drift, part, h, 0, owned)
             forward_state(ghosts, owned, rows.x, rows.state)
             rows.force[owned:] = 0.0
-            move_walls(shapes.kind, shapes.shape, assembly.walls.motion, h)
+            move_walls(shapes.kind, shapes.shape, walls.motion, h)
+            if len(walls.carried):
+                carry_facets(assembly.facets.facets, walls.carried, walls.motion, walls.turn, h)
             moved = largest(ghosts.ranks, moved)
             touching, back, deepest, reach, pairs, facets = all_forces(assembly, near, moved, step + made + 1, h, deepest)
         else:

@@ -107,12 +107,21 @@ def finish_block(block, m, rows, spring, stamp, walls, numbers, step, h):
     for n in range(m):
         i, radius = who[n], b[n + row.RADIUS]
         deepest[0] = max(deepest[0], 0.5 * b[n + row.OVERLAP] / radius)
+        w, distance = wall_of[n], b[n + row.SQUARE]  # which the law has made the distance, and the centre the normal
+        px = rows.x[i, 0] - distance * b[n + row.CENTRE_X] - motion[w, 0]
+        py = rows.x[i, 1] - distance * b[n + row.CENTRE_Y] - motion[w, 1]
+        pz = rows.x[i, 2] - distance * b[n + row.CENTRE_Z] - motion[w, 2]
+        fx, fy, fz = b[n + row.FORCE_X], b[n + row.FORCE_Y], b[n + row.FORCE_Z]
+        wall_force[w, 3] -= py * fz - pz * fy
+        wall_force[w, 4] -= pz * fx - px * fz
+        wall_force[w, 5] -= px * fy - py * fx
         for q in range(3):
             force[i, q] += b[n + row.FORCE_X + q * BLOCK]
-            wall_force[wall_of[n], q] -= b[n + row.FORCE_X + q * BLOCK]
+            wall_force[w, q] -= b[n + row.FORCE_X + q * BLOCK]
             force[i, 4 + q] += radius * b[n + row.TORQUE_X + q * BLOCK]
     if numbers.rolls > 0:
         for n in range(m):
             for q in range(3):
                 spring[at[n], 4 + q] = b[n + row.ROLLING_X + q * BLOCK]
                 force[who[n], 4 + q] += b[n + row.ROLLING_TORQUE_X + q * BLOCK]
+                wall_force[wall_of[n], 3 + q] -= b[n + row.ROLLING_TORQUE_X + q * BLOCK]

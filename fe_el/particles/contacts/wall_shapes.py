@@ -7,7 +7,7 @@ from fe_el.particles.contacts.blocks import BLOCK
 from fe_el.particles.contacts.law_kernels import FAST
 from fe_el.particles.contacts.wall_blocks import add_contact, finish_block
 
-PLANE, CYLINDER, FACETS = 0, 1, 2
+PLANE, CYLINDER, FACETS, SURFACE = 0, 1, 2, 3
 
 
 def _direction(name, value, wanted):
@@ -21,13 +21,28 @@ def _direction(name, value, wanted):
 class _Wall:
     """A wall with a material and a rigid motion: ``velocity`` [m/s] and ``angular_velocity`` [1/s] about ``point`` [m].
 
-    What is set anew between two steps counts from the next step on; ``point`` and direction of planes and cylinders move.
+    What is set anew between two steps counts from the next step on; ``point`` and direction of planes, cylinders and
+    surfaces move. A function of time, set as ``drive``, gives velocity and angular velocity in the middle of each step: with
+    ``wall.drive = lambda time: ((0, 0, 0.1 * np.sin(300 * time)), (0, 0, 0))`` it shakes. ``time`` is that which its
+    contacts have been advanced by [s].
     """
+
+    drive = None  #: function time -> (velocity (3,), angular velocity (3,)); absent: they stay as they are
 
     def __init__(self, point, material, velocity, angular_velocity):
         self.material, self.point, self.velocity, self.angular_velocity = material, point, velocity, angular_velocity
         self.force = np.zeros(3)  #: mean force of the particles on the wall over the last advance [N]
+        self.torque = np.zeros(3)  #: its mean torque about ``point`` [N m]
         self.motion()
+
+    def follow(self, time):
+        """Take the motion that ``drive`` gives at a time."""
+        if self.drive is not None:
+            try:
+                self.velocity, self.angular_velocity = self.drive(time)
+            except (TypeError, ValueError):
+                raise ValueError(f"The drive of a wall gives {str(self.drive(time))[:60]} at time {time:g} s; it must give "
+                                 "two vectors, velocity [m/s] and angular velocity [1/s].") from None
 
     def motion(self):
         """Origin, velocity and rotation in one row, after checking them and the material."""
@@ -154,11 +169,16 @@ def shape_forces(rows, shapes, walls, block, numbers, step, h):
 
 @njit
 def move_walls(kind, shape, motion, h):
-    """Carry planes and cylinders along with their velocity, and turn their normal or axis with their rotation."""
+    """Carry walls that may leave their place along with their velocity, and turn their normal or axis with their rotation;
+    of surfaces the rotation vector."""
     for n in range(len(kind)):
-        if kind[n] < 2:
+        if kind[n] != FACETS:
             for k in range(3):
                 motion[n, k] += h * motion[n, 3 + k]
+        if kind[n] == SURFACE:
+            for k in range(3):
+                shape[n, k] += h * motion[n, 6 + k]
+        elif kind[n] != FACETS:
             ax, ay, az = shape[n, 0], shape[n, 1], shape[n, 2]
             ax += h * (motion[n, 7] * shape[n, 2] - motion[n, 8] * shape[n, 1])
             ay += h * (motion[n, 8] * shape[n, 0] - motion[n, 6] * shape[n, 2])
