@@ -15,6 +15,8 @@ from fe_el.particles.reflection import reflect_at_facets, reflect_at_planes
 from fe_el.particles.solids_stress import SolidsStress
 from fe_el.particles.wall_facets import facets_at_nodes, walls_of_facets
 
+NONE_LATE = np.zeros(0)  # Particles puts back those who came in during the step
+
 
 class MultiphasePIC:
     """The MP-PIC method (Snider, J. Comput. Phys. 170, 2001, 523), in the place of :class:`Contacts`: particles are points
@@ -113,7 +115,8 @@ class MultiphasePIC:
         self._reach(dt)
         self._take_up()
         start, before = p.position.copy(), p.velocity.copy()
-        motion.free_flight(p.position, p.velocity, p.force, p.inertia, p.gravity, p.relaxation_rate, p.held, dt)
+        motion.free_flight(p.position, p.velocity, p.force, p.inertia, p.gravity, p.relaxation_rate, p.held,
+                           NONE_LATE, dt)
         free, mass = p.velocity.copy(), np.where(p.held, 0.0, p.inertia)
         self.wall_impulse = np.zeros((max(len(self.walls), 1), 3))
         weight, sums = self._to_nodes(start, mass)
