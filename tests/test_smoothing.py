@@ -183,3 +183,23 @@ def test_bad_smoothing_and_points_are_refused():
         fe_el.SatellitePoints(np.full((2, 3), 2.0))
     with pytest.raises(ValueError, match="mean pressure gradient"):
         fe_el.PressureGradient((np.nan, 0))
+
+
+def test_the_polynomial_is_within_its_tolerance_on_a_mesh_with_slivers():
+    """Cell values beside those of a direct solution; the bounds of the spectrum hold its ends, and little more."""
+    from scipy.sparse import csr_matrix, diags
+    from scipy.sparse.linalg import eigsh, spsolve
+    mesh, _ = fe_el.box((1.0, 1.0, 1.0), (6, 6, 6))
+    x = mesh.geometry.x
+    inner = ((x > 1e-9) & (x < 1 - 1e-9)).all(1)
+    x[inner] += np.random.default_rng(0).uniform(-0.06, 0.06, (inner.sum(), 3))
+    smoothing = fe_el.HelmholtzSmoothing(mesh, 0.3)
+    n = smoothing.nodes.owned_nodes
+    matrix = csr_matrix((smoothing.value, smoothing.column.astype(int), smoothing.start.astype(int)), (n, n))
+    field = np.random.default_rng(1).normal(size=(len(smoothing.nodes.dofs), 1))
+    exact = smoothing.nodes.means(spsolve(matrix.tocsc(), smoothing.nodes.load(field))[:, None])
+    assert np.linalg.norm(smoothing(field) - exact) < 1e-3 * np.linalg.norm(exact)
+    scaled = diags(matrix.diagonal() ** -0.5) @ matrix @ diags(matrix.diagonal() ** -0.5)
+    low, high = (eigsh(scaled, 1, which=end, return_eigenvectors=False)[0] for end in ("SA", "LA"))
+    ends = smoothing.middle - smoothing.half, smoothing.middle + smoothing.half
+    assert 0.8 * low < ends[0] < low and high < ends[1] < 1.2 * high
