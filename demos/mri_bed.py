@@ -49,6 +49,7 @@ def arguments():
     p.add_argument("--cells", type=int, nargs=3, default=[11, 3, 30],
                    help="cubes along x, y and z, six tetrahedra each (11 3 30)")
     p.add_argument("--stiffness", type=float, default=200.0, help="contact stiffness [N/m] (200)")
+    p.add_argument("--mp-pic", action="store_true", help="the solids stress of MultiphasePIC in place of contacts")
     p.add_argument("--slip", action="store_true", help="slip walls for the gas in place of no-slip ones")
     p.add_argument("--seed", type=int, default=1, help="seed of the first positions (1)")
     p.add_argument("--output", default="out/mri_bed", help="folder for results (out/mri_bed)")
@@ -56,7 +57,7 @@ def arguments():
     return p
 
 
-def assemble(velocity, drag, cells, stiffness, steps_per_contact, slip, seed):
+def assemble(velocity, drag, cells, stiffness, steps_per_contact, slip, seed, mp_pic=False):
     """The bed with its beads on a loose lattice; without a seed there are none yet."""
     mesh, tags = fe_el.box((WIDTH, DEPTH, HEIGHT), cells, slices_along=0)
     down = (0.0, 0.0, -GRAVITY)
@@ -65,8 +66,12 @@ def assemble(velocity, drag, cells, stiffness, steps_per_contact, slip, seed):
         beads.insert_on_lattice((0, 0, 0), (WIDTH, DEPTH, 0.98 * HEIGHT), np.full(NUMBER, DIAMETER), seed=seed)
         # equal beads would fall as columns
         beads.velocity[:] = np.random.default_rng(seed).normal(scale=0.02, size=(NUMBER, 3))[beads.id]
-    law = fe_el.LinearSpringDashpot(stiffness, restitution=0.97, friction=0.1)
-    contacts = fe_el.Contacts(beads, law, walls=(tags, (1, 2, 3, 4, 5)), steps_per_contact=steps_per_contact)
+    walls = tags, (1, 2, 3, 4, 5)
+    if mp_pic:
+        contacts = fe_el.MultiphasePIC(beads, walls=walls, restitution=0.97)
+    else:
+        law = fe_el.LinearSpringDashpot(stiffness, restitution=0.97, friction=0.1)
+        contacts = fe_el.Contacts(beads, law, walls=walls, steps_per_contact=steps_per_contact)
     air = fe_el.VolumeAveragedNavierStokes(mesh, tags, GAS_DENSITY, GAS_VISCOSITY, down, tolerance=1e-8)
     air.set_velocity(5, (0.0, 0.0, velocity))
     air.set_pressure(6, 0.0)
@@ -105,7 +110,7 @@ def one_run(velocity, drag, options, progress):
     folder = Path(options["output"]) / f"{drag}_{velocity:g}"
     keep = restarts.Restarts(folder, *(options[k] for k in ("time_step", "checkpoint_every", "restart", "wall_time")))
     bed = assemble(velocity, drag, options["cells"], options["stiffness"], options["steps_per_contact"], options["slip"],
-                   None if keep.going_on() else options["seed"])
+                   None if keep.going_on() else options["seed"], options["mp_pic"])
     edges = sorted({h for group in HEIGHTS.values() for h in group})
     rows = np.array([(1e-3 * h - THICKNESS / 2, 1e-3 * h + THICKNESS / 2) for h in edges]).ravel()
     averages = bed_runs.Averages(bed.beads, np.linspace(0, WIDTH, COLUMNS + 1), rows, DEPTH)
@@ -127,7 +132,7 @@ def one_run(velocity, drag, options, progress):
 
 
 def main(superficial_velocity=(0.9, 0.6), drag=("beetstra", "gidaspow"), end_time=6.0, average_from=1.0, time_step=5e-4,
-         steps_per_contact=20, cells=(11, 3, 30), stiffness=200.0, slip=False, seed=1, output="out/mri_bed",
+         steps_per_contact=20, cells=(11, 3, 30), stiffness=200.0, mp_pic=False, slip=False, seed=1, output="out/mri_bed",
          checkpoint_every=None, restart=None, wall_time=None, progress=True):
     """Run the beds, compare them with the measurement, and return the summary."""
     options = dict(locals())

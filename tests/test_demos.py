@@ -18,11 +18,19 @@ from demos import (
     minimum_fluidisation,
     mri_bed,
     own_weak_form,
+    salzman_jet,
     sedimenting_suspension,
     time_scales,
     turbulent_channel,
 )
-from demos.benchmarks import contact_speed, error_against_run_time, fluid_error, fluid_speed, stability_map
+from demos.benchmarks import (
+    contact_speed,
+    error_against_run_time,
+    fluid_error,
+    fluid_speed,
+    mp_pic_against_contacts,
+    stability_map,
+)
 from demos.peers import (
     bed_against_dpmfoam,
     contacts_against_peers,
@@ -428,3 +436,24 @@ def test_jet_report(folder):
     assert summary["runs"] == 2 and summary["stable_runs"] == 1
     with open(folder + "/report.csv") as file:
         assert len(file.readlines()) == 3
+
+
+def test_salzman_jet(folder):
+    """Coarse and short: the jet goes higher than Stokes' drag in undisturbed flow takes it; balances close."""
+    summary = salzman_jet.main(coarse_graining=(40.0,), cells=1.5, end_time=0.016, average_from=0.01, time_step=2e-4,
+                               output=folder, progress=False)
+    assert summary["coarse_graining_40_mass_error"] < 1e-12 and summary["coarse_graining_40_momentum_imbalance"] < 1e-10
+    assert 1.1 < summary["coarse_graining_40_over_stokes_at_50_mm"] < 2.5
+    way = np.array([0.005, 0.05, 0.2])  # of the table in jicf_single_particle_trajectories.csv
+    assert salzman_jet.stokes_height(way) == pytest.approx([0.0217815, 0.0423305, 0.0455196], rel=1e-5)
+    assert os.path.getsize(folder + "/heights.png") > 0 and os.path.getsize(folder + "/coarse_graining_40/fields.png") > 0
+    with pytest.raises(ValueError, match="--average-from"):
+        salzman_jet.main(average_from=1.0, output=folder)
+
+
+def test_mp_pic_beside_contacts(folder):
+    summary = mp_pic_against_contacts.main(parcels=500, cells=2, time_step=(2e-3,), end_time=0.3, output=folder,
+                                           progress=False)
+    for kind in ("mp_pic", "contacts"):
+        assert 0.5 < summary[f"{kind}_0.002_packing_at_rest"] < 0.67
+    assert summary["mp_pic_0.002_largest_solid_fraction"] < 0.7

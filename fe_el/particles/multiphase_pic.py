@@ -54,7 +54,7 @@ class MultiphasePIC:
         Collective.
     """
 
-    steps_last = 1  # as of Contacts
+    steps_last, largest_overlap = 1, 0.0  # as of Contacts
 
     def __init__(self, particles, stress=None, walls=None, restitution=0.9, wall_restitution=0.9, tangential_restitution=1.0,
                  tolerance=1e-4, iterations=200):
