@@ -8,6 +8,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 from mpi4py import MPI
+from numba import njit
 
 import fe_el
 from fe_el.particles.contacts.records import Drift
@@ -62,18 +63,21 @@ def settled_tile(steps):
     return x[order], v[order]
 
 
+@njit
+def _integrate(rows, drift, owned, repeats):
+    """Kicks and drifts of some sub-steps, one after the other."""
+    for _ in range(repeats):
+        kick_and_drift(rows, drift, 1.0, CONTACT_STEP, 0, owned)
+
+
 def integration_seconds(contacts, repeats=20):
     """Seconds that kicks and drifts of one step take by themselves, on copies of the particles of this rank."""
     lists, p = contacts.lists, contacts.particles
     rows = lists.rows._replace(x=lists.rows.x.copy(), state=lists.rows.state.copy(), force=lists.rows.force.copy())
     drift = Drift(np.zeros((len(p), 3)), 10 / (p.mass * p.diameter ** 2), lists.x0, np.zeros((0, 4)))
-
-    def once():
-        kick_and_drift(rows, drift, 1.0, CONTACT_STEP, 0, len(p))
-    once()
+    _integrate(rows, drift, len(p), 1)
     start = time.perf_counter()
-    for _ in range(repeats):
-        once()
+    _integrate(rows, drift, len(p), repeats)
     return (time.perf_counter() - start) / repeats
 
 

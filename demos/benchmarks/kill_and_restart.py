@@ -1,7 +1,7 @@
 """A bed that is killed at random moments and started again with --restart: nothing before the last checkpoint is lost.
 
-Each time the run gets SIGKILL at a random moment, then goes on from its folder. At the end its particles are those of the run
-without a break, to round-off, and its series of frames is whole. SIGTERM, where it is sent, must give exit code 75.
+Each time the run gets SIGKILL at a random moment, then goes on from its folder. At the end its particles are those of the
+run without a break, to round-off, and its series of frames is whole. SIGTERM, where it is sent, must give exit code 75.
     python demos/benchmarks/kill_and_restart.py --kills 20
 """
 import argparse
@@ -17,8 +17,8 @@ from pathlib import Path
 import fe_el
 
 DEMO = Path(__file__).resolve().parents[1] / "contacts_only.py"
-OPTIONS = ["--diameter", "4e-3", "--particles", "300", "--settle-time", "0.05", "--end-time", "0.3", "--output-every", "0.02",
-           "--checkpoint-every", "0.01"]
+OPTIONS = ["--diameter", "4e-3", "--particles", "300", "--settle-time", "0.05", "--end-time", "0.3",
+           "--output-every", "0.02", "--checkpoint-every", "0.01"]
 
 
 def arguments():

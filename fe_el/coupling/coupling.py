@@ -85,7 +85,7 @@ class Coupling(Maps):
         if not hasattr(particles, "relaxation_rate") or isinstance(particles, type):
             raise ValueError(f"The particles are {particles!r}; pass an object of Particles.")
         for name, function in (("velocity", velocity), ("pressure", pressure), ("mean velocity", mean_velocity)):
-            if not hasattr(function, "ufl_shape") and (function is not None or name != "mean velocity"):
+            if not hasattr(function, "ufl_shape") and (function is not None or name == "velocity"):
                 raise ValueError(f"The {name} of the fluid is {function!r}; pass its Function, or a UFL expression.")
             same_mesh(f"values of the {name}", function, particles.mesh)
         fluid_density = positive_number("fluid density", fluid_density)
@@ -136,6 +136,9 @@ class Coupling(Maps):
         needs = {name for force in others for name in getattr(force, "needs", ())}
         self.gradient_mean = self.asked = None
         if self.pressure_force or "pressure_gradient" in needs:
+            if pressure is None:
+                raise ValueError("The pressure of the fluid is None, but a force needs its gradient; pass its Function, or a "
+                                 "UFL expression.")
             self.gradient_mean = PressureGradientMean(mesh, pressure, particles.cells.barycentric)
         if others:
             self.asked = AskedOfFluid(mesh, needs, fluid_viscosity, self.gradient_mean)
