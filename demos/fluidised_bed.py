@@ -63,7 +63,8 @@ def assemble(superficial_velocity=1.3, slice=1.0, drag="beetstra", stiffness=500
     gravity = (0, 0, -GRAVITY)
     beads = fe_el.Particles(mesh, density=BEAD_DENSITY, gravity=gravity)
     contacts = fe_el.Contacts(beads, fe_el.LinearSpringDashpot(stiffness, restitution=0.9, friction=0.1),
-                              walls=(tags, (WALL, INLET)), steps_per_contact=steps_per_contact)
+                              walls=[fe_el.FacetWalls(tags, WALL), fe_el.FacetWalls(tags, INLET)],
+                              steps_per_contact=steps_per_contact)
     if not superficial_velocity:
         return bed_runs.Bed(beads, contacts)
     air = fe_el.VolumeAveragedNavierStokes(mesh, tags, GAS_DENSITY, GAS_VISCOSITY, gravity, tolerance=1e-9)
@@ -131,9 +132,12 @@ class Record:
         self.times = [t for t in self.times if t > self.until]
 
     def __call__(self, now):
-        beads, _, air, _ = self.bed
+        beads, contacts, air, _ = self.bed
         drop = bed_runs.pressure_drop(air) if air else 0.0
-        self.rows.append((now, drop, mean_height(beads, True), mean_height(beads, False), beads.kinetic_energy()))
+        held_back, standing = (wall.force[2] for wall in contacts.walls)  # by rubbing on the walls, and on the distributor
+        gas = air.boundary_force(WALL)[1][2] if air else 0.0
+        self.rows.append((now, drop, mean_height(beads, True), mean_height(beads, False), beads.kinetic_energy(),
+                          held_back + gas, -standing))
 
     def snapshot(self, now, step):
         """Keep the beads at four instants."""
@@ -182,7 +186,11 @@ def finish(output, record, bed, numbers, weight, area):
                 "pressure_drop": drop.mean(), "pressure_drop_error": bed_runs.standard_error(drop),
                 "pressure_drop_fluctuation": drop.std()}
     if bed.air:
-        numbers |= {"pressure_drop_over_weight": drop.mean() / weight,
+        gas_weight = GAS_DENSITY * GRAVITY * (HEIGHT - weight / (BEAD_DENSITY * GRAVITY))
+        rubbing, standing = late[:, 5:7].mean(0) / area
+        numbers |= {"pressure_drop_over_weight": drop.mean() / weight, "wall_friction_per_area": rubbing,
+                    "carried_by_distributor_per_area": standing,
+                    "pressure_drop_expected": weight + gas_weight + rubbing - standing,
                     "drag_law_pressure_drop": drag_law_drop(bed.beads, bed.coupling.drag, numbers["superficial_velocity"],
                                                             area),
                     "drag_by_cells_pressure_drop": drop_by_cells(bed, area)}

@@ -137,8 +137,8 @@ class Coupling(Maps):
         self.gradient_mean = self.asked = None
         if self.pressure_force or "pressure_gradient" in needs:
             if pressure is None:
-                raise ValueError("The pressure of the fluid is None, but a force needs its gradient; pass its Function, or a "
-                                 "UFL expression.")
+                raise ValueError("The pressure of the fluid is None, but a force needs its gradient; pass its Function, or "
+                                 "a UFL expression.")
             self.gradient_mean = PressureGradientMean(mesh, pressure, particles.cells.barycentric)
         if others:
             self.asked = AskedOfFluid(mesh, needs, fluid_viscosity, self.gradient_mean)
