@@ -70,7 +70,7 @@ def cell_records(cells):
     return out.ravel(), neighbour.ravel()
 
 
-@njit(fastmath=FAST, error_model="numpy", inline="always")
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _visit(record, neighbour, shift, slot, place, r, number, shares, notes, count, e):
     """Walk from a sphere's cell through the facets that it touches; what a facet's edges take is left to be done.
 

@@ -182,7 +182,7 @@ def constant_rows(b, numbers):
         material_row(b, n, numbers, 0, 0)
 
 
-@njit(inline="always")
+@njit(forceinline=True)
 def stiffness_of_parcel(b, n, numbers, stiffness, inverse_mass, reduced_radius):
     """Stiffness of a contact of parcels, with which it lasts as long as one of their particles with the law's.
 
@@ -196,13 +196,13 @@ def stiffness_of_parcel(b, n, numbers, stiffness, inverse_mass, reduced_radius):
     b[n + row.STIFFNESS] = ratio * stiffness
 
 
-@njit(inline="always")
+@njit(forceinline=True)
 def uniform(numbers):
     """Whether there is one material only."""
     return numbers.table.shape[0] == 1 and numbers.table.shape[1] == 1
 
 
-@njit(inline="always")
+@njit(forceinline=True)
 def material_row(b, n, numbers, first, second):
     """Stiffness to damping ratio, rolling friction and attraction of one contact from the material table."""
     for k in range(5):

@@ -22,7 +22,7 @@ from fe_el.particles.contacts.law_kernels import FAST, apply_law, stiffness_of_p
 MANY = 60000  # particles whose rows do not fit into the near caches
 
 
-@njit(fastmath=FAST, inline="always")
+@njit(fastmath=FAST, forceinline=True)
 def four_of(array, k):
     """Entries of an array, as a tuple of four."""
     return array[k[0]], array[k[1]], array[k[2]], array[k[3]]
@@ -182,7 +182,7 @@ def pair_forces(rows, listed, pairs, block, numbers, step, h, deepest):
     A spring counts only if the pair touched in the step before.
     """
     state, force = rows.state, rows.force
-    touching, n, far = 0, 0, len(state) > MANY
+    touching, n, far = 0, np.int64(0), len(state) > MANY
     b, at = block.rows, block.at
     while n < len(listed):
         m, n = next_block(b, at, rows, listed, pairs, n)

@@ -1,6 +1,8 @@
 """Sub-steps of contacts: one for any law, and many at once in compiled code with the built-in laws."""
 import math
 
+import numpy as np
+
 from fe_el.compiled.borrowed import borrowed
 from fe_el.compiled.cache import njit
 from fe_el.parallel.messages import largest
@@ -136,10 +138,11 @@ def sub_steps(most, h, age, wall_rate, assembly, ghosts, tiles, near, step, deep
     """
     assembly, ghosts, tiles = borrowed(assembly), borrowed(ghosts), borrowed(tiles)
     rows, drift, shapes, walls = assembly.rows, assembly.drift, assembly.shapes, assembly.walls
-    owned, made, touching, behind, stale, number, ahead, part = len(drift.x0), 0, 0, -1, False, 1, 0.0, 0.5
+    owned, made, touching, behind, stale, ahead, part = len(drift.x0), 0, 0, -1, False, 0.0, 0.5
+    first, number = np.int64(0), np.int64(1)  # as literals they would be compiled for twice
     while made < most and not stale:
         if number == 1:
-            moved, speed, change = drift_on(rows, drift, part, h, 0, owned)
+            moved, speed, change = drift_on(rows, drift, part, h, first, owned)
             forward_state(ghosts, owned, rows.x, rows.state)
             rows.force[owned:] = 0.0
             move_walls(shapes.kind, shapes.shape, walls.motion, h)

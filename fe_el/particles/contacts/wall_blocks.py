@@ -9,7 +9,7 @@ from fe_el.particles.contacts.law_kernels import FAST, apply_law, material_row, 
 from fe_el.particles.contacts.pair_forces import fill_up, four_of
 
 
-@njit(fastmath=FAST, inline="always")
+@njit(fastmath=FAST, forceinline=True)
 def add_contact(block, m, i, k, wall, dx, dy, dz, radius, share):
     """Contact m of a block: particle i, entry k of the list; (dx, dy, dz) points from the wall's nearest point to the
     centre; ``share`` multiplies its force."""

@@ -85,7 +85,7 @@ def join_contacts(near, scratch, facet, facets, centre, radius, hertz):
     factor of their force in ``work[:, 12]``.
     """
     arm, slot, contact, work, at = scratch.arm, scratch.slot, scratch.contact, scratch.work, scratch.order
-    patch, m, several = facets.patch, 0, False
+    patch, m, several = facets.patch, np.int64(0), False
     for n in range(near):
         work[n, 12], work[n, 11] = 1.0, patch[facet[slot[n]], 0]
         if contact[n]:

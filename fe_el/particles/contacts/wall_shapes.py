@@ -121,7 +121,7 @@ class CylinderWall(_Wall):
         self.point, self.axis = point.copy(), shape[:3].copy()
 
 
-@njit(fastmath=FAST, inline="always")
+@njit(fastmath=FAST, forceinline=True)
 def _surface_point(kind, shape, origin, x, y, z):
     """Nearest point of a plane or cylinder, and the distance (negative behind the wall)."""
     dx, dy, dz = x - origin[0], y - origin[1], z - origin[2]
@@ -152,7 +152,7 @@ def shape_forces(rows, shapes, walls, block, numbers, step, h):
     """Add the contact forces of planes and cylinders; returns the number of contacts, or -1 - i where i is behind one."""
     x, radius, particle, wall = rows.x, rows.radius, shapes.particle, shapes.wall
     kind, shape, motion = shapes.kind, shapes.shape, walls.motion
-    touching, m, bad, total = 0, 0, 0, len(particle)
+    touching, m, bad, total = 0, np.int64(0), 0, len(particle)
     for k in range(total):
         i, n = particle[k], wall[k]
         px, py, pz, distance = _surface_point(kind[n], shape[n], motion[n], x[i, 0], x[i, 1], x[i, 2])

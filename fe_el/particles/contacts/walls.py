@@ -93,7 +93,7 @@ def facet_frames(corner):
     return np.column_stack([corner[:, 0], *duals, normal])
 
 
-@njit(fastmath=FAST, inline="always")
+@njit(fastmath=FAST, forceinline=True)
 def _from_facet(frame, corner, f, x, y, z, reach):
     """Vector from the nearest point of facet f to a point, with that point's weights; only its length matters beyond
     reach."""
@@ -174,7 +174,7 @@ def facet_forces(rows, listed, near_facets, walls, block, numbers, step, h):
     spring, stamp, facets, scratch = near_facets.spring, near_facets.stamp, near_facets.facets, near_facets.scratch
     corner, frame, patch, facet_wall = facets.corner, facets.frame, facets.patch, facets.wall
     arm, weight, slot, contact, work = scratch.arm, scratch.weight, scratch.slot, scratch.contact, scratch.work
-    touching, m, entry, total, bad = 0, 0, 0, len(listed), 0
+    touching, m, entry, total, bad = 0, np.int64(0), 0, len(listed), 0
     while entry < total:
         i, near = particle[listed[entry]], np.uint64(0)
         px, py, pz, r = x[i, 0], x[i, 1], x[i, 2], radius[i]
