@@ -5,7 +5,7 @@ from fe_el.checks import finite_vector, numbers, positive_number, require_mesh, 
 from fe_el.mesh import cell_mesh as _mesh
 from fe_el.parallel.exchange import largest_of, move, raise_everywhere
 from fe_el.parallel.failures import end_all_ranks_on_errors
-from fe_el.particles import insertion, location, motion
+from fe_el.particles import insertion, location, motion, rows
 from fe_el.particles.open_boundaries import OpenBoundaries, Rebounds
 
 FIELDS = {"position": (3,), "velocity": (3,), "angular_velocity": (3,), "diameter": (), "density": (), "force": (3,),
@@ -58,6 +58,7 @@ class Particles:
         self.held = np.zeros(0, bool)
         self.period = getattr(mesh, "period", None)
         self.properties, self.next_id, self.layout = {}, 0, 0
+        self._room = {}  # memory of the arrays, longer than they are
         self.reach_halo(0.0)
 
     def __len__(self):
@@ -143,14 +144,14 @@ class Particles:
         new = {name: np.zeros((len(mine), *shape)) for name, shape in FIELDS.items()}
         new["position"], new["velocity"], new["diameter"] = x[mine], velocity[mine], diameter[mine]
         new["density"], new["number"] = density[mine], number[mine]
-        for name in FIELDS:
-            setattr(self, name, np.concatenate([getattr(self, name), new[name]]))
-        self.cell = np.concatenate([self.cell, cell[mine]])
-        self.id = np.concatenate([self.id, self.next_id + mine])
-        self.held = np.concatenate([self.held, np.zeros(len(mine), bool)])
-        self.material = np.concatenate([self.material, material[mine]])
+        new |= {"cell": cell[mine], "id": self.next_id + mine, "held": np.zeros(len(mine), bool), "material": material[mine]}
+        for name, a in new.items():
+            own, self._room[name] = rows.appended(getattr(self, name), a, self._room.get(name))
+            setattr(self, name, own)
         for name, a in self.properties.items():
-            self.properties[name] = np.concatenate([a, np.zeros((len(mine), *a.shape[1:]), a.dtype)])
+            nothing = np.zeros((len(mine), *a.shape[1:]), a.dtype)
+            self.properties[name], self._room["property " + name] = rows.appended(
+                a, nothing, self._room.get("property " + name))
         self.next_id += len(x)
         self.layout += 1
 
@@ -242,8 +243,12 @@ class Particles:
         if len(order):
             self.select(order)
 
-    def locate(self):
+    def locate(self, in_order=True):
         """Find the cell of every particle and move particles to the ranks of their cells.
+
+        Args:
+            in_order (bool): those that stay keep their order, and those that come are behind them; else they may take the
+                rows of those that go, which costs less.
 
         Returns:
             ndarray: rank every particle (in the old order) is on now, -1 if it left the mesh; ``None`` if all stayed.
@@ -261,7 +266,7 @@ class Particles:
             self._search_everywhere()
         if self.comm.size == 1 and not len(self._gone):
             return None
-        return self._migrate()
+        return self._migrate(in_order)
 
     def _search_everywhere(self):
         bad, self._claims = np.flatnonzero(self.cell < 0), {}
@@ -296,7 +301,7 @@ class Particles:
             self._gone, bad = np.concatenate([self._gone, bad[out]]), bad[~out]
         return bad
 
-    def _migrate(self):
+    def _migrate(self, in_order):
         """Send particles in halo cells to the owners of these cells."""
         owned = self.cells.owned
         inside = np.maximum(self.cell, 0)
@@ -314,11 +319,18 @@ class Particles:
         out, stay = np.flatnonzero(leaving), np.flatnonzero(~leaving)
         received = move(self.comm, destination[out], [a[out] for a in (*own.values(), *user.values())])
         for name, a in zip(own, received):
-            setattr(self, name, np.concatenate([own[name][stay], a]))
-        self.properties = {name: np.concatenate([user[name][stay], a])
+            setattr(self, name, self._in_place_of(out, stay, name, own[name], a, in_order))
+        self.properties = {name: self._in_place_of(out, stay, "property " + name, user[name], a, in_order)
                            for name, a in zip(user, received[len(own):])}
         self.layout += 1
         return destination
+
+    def _in_place_of(self, out, stay, name, a, new, in_order):
+        """Array without the rows ``out`` and with new ones."""
+        if in_order:
+            return np.concatenate([a[stay], new])
+        a, self._room[name] = rows.replaced(a, out, new, self._room.get(name))
+        return a
 
     def _wrap(self, position):
         """Bring positions into the periodic box, in place, so that the walk to a far cell is short."""
@@ -443,7 +455,7 @@ class Particles:
                        f"{self.comm.rank}. Use a smaller step or a softer contact law.")
         raise_everywhere(self.comm, FloatingPointError, message)
         if contacts is None:
-            self.locate()
+            self.locate(in_order=False)
             self._put_in_order()
 
     def _advance_with(self, contacts, dt):
