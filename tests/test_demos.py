@@ -29,6 +29,7 @@ from demos.benchmarks import (
     fluid_error,
     fluid_speed,
     mp_pic_against_contacts,
+    parcel_speed,
     stability_map,
 )
 from demos.peers import (
@@ -457,3 +458,9 @@ def test_mp_pic_beside_contacts(folder):
     for kind in ("mp_pic", "contacts"):
         assert 0.5 < summary[f"{kind}_0.002_packing_at_rest"] < 0.67
     assert summary["mp_pic_0.002_largest_solid_fraction"] < 0.7
+
+
+def test_parcel_speed(folder):
+    summary = parcel_speed.main(numbers=(500, 2000), steps=2, cells=(18, 7), output=folder, progress=False)
+    assert summary["bytes_per_parcel_2000"] < 300 and summary["million_parcel_steps_per_second_2000"] > 0
+    assert np.isfinite(summary["exponent_all"])
