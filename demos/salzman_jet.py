@@ -19,6 +19,7 @@ one particle with Stokes' drag in the undisturbed cross flow, 45.5 mm high at th
 """
 import argparse
 import logging
+import sys
 import time
 from pathlib import Path
 
@@ -27,6 +28,9 @@ import numpy as np
 from mpi4py import MPI
 
 import fe_el
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from demos import restarts
 
 matplotlib.use("Agg")
 INLET, OUTLET, FLOOR, SIDES, NOZZLE = 1, 2, 3, 4, 5
@@ -54,6 +58,7 @@ def arguments():
     p.add_argument("--end-time", type=float, default=0.05, help="of each run [s] (0.05)")
     p.add_argument("--average-from", type=float, default=0.02, help="start of the means [s] (0.02)")
     p.add_argument("--output", default="out/salzman_jet", help="folder for results (out/salzman_jet)")
+    restarts.add_arguments(p)
     return p
 
 
@@ -111,6 +116,10 @@ class Means:
         for observer in (self.heights[0], self.heights[1 + block], self.fields, self.plane):
             observer.add(dt)
 
+    def observers(self):
+        """All that is averaged, for checkpoints."""
+        return *self.heights, self.fields, self.plane
+
     def at_stations(self):
         """Mean heights and their standard errors [m], and mean heights over those of Stokes' drag."""
         rows = np.array([np.interp(STATIONS, self.way, h.mean) for h in self.heights])
@@ -121,23 +130,26 @@ def one_run(options, folder, progress):
     """Run one jet; returns its means, its last state and its numbers."""
     air, parcels, injector, coupling = assemble(**options)
     dt, end, wall = options["time_step"], options["end_time"], time.perf_counter()
-    means = Means(parcels, options["average_from"], end)
-    imbalance = fullest = 0.0
-    with fe_el.ParaViewOutput(folder, parcels, [air.velocity, air.pressure, coupling.fields[0]], end / 10) as out:
-        for now in fe_el.time_steps(dt, end, progress=progress):
+    keep = restarts.Restarts(folder, *(options[k] for k in ("time_step", "checkpoint_every", "restart", "wall_time")))
+    means, largest = Means(parcels, options["average_from"], end), restarts.Kept(imbalance=0.0, solid_fraction=0.0)
+    with fe_el.ParaViewOutput(folder, parcels, [air.velocity, air.pressure, coupling.fields[0]], end / 10) as out, \
+            keep.checkpoints(parcels, air, injector, coupling, out, *means.observers(), largest) as checkpoints:
+        for now in keep.steps(checkpoints.time, end, progress):
             injector.advance(dt)
             coupling.to_fluid(dt)
             air.advance(dt, coupling.fields)
             coupling.to_particles(dt)
             parcels.advance(dt)
             means.add(now, dt)
-            imbalance, fullest = max(imbalance, coupling.momentum_imbalance), max(fullest, coupling.max_solid_fraction)
+            largest["imbalance"] = max(largest["imbalance"], coupling.momentum_imbalance)
+            largest["solid_fraction"] = max(largest["solid_fraction"], coupling.max_solid_fraction)
             out.write(now)
+            checkpoints.after(now)
     heights, errors, ratios = means.at_stations()
     held = parcels.comm.allreduce(float(parcels.mass.sum()))
     numbers = {"parcels": parcels.total_number, "cells": parcels.comm.allreduce(air.num_cells), "time_step": dt,
                "courant": air.courant(dt), "smoothing_length": getattr(coupling.smoothing, "length", 0.0),
-               "largest_solid_fraction": fullest, "momentum_imbalance": imbalance,
+               "largest_solid_fraction": largest["solid_fraction"], "momentum_imbalance": largest["imbalance"],
                "mass_error": abs(held + parcels.left_mass - injector.mass) / injector.mass,
                "flux_through_plane_over_injected": means.plane.mass_rate * end / injector.mass,
                "seconds_per_step": (time.perf_counter() - wall) * dt / end, "wall_time": time.perf_counter() - wall,
@@ -149,10 +161,14 @@ def one_run(options, folder, progress):
 
 
 def main(coarse_graining=(25.0,), smoothing_length=None, cells=3.0, closure="wale", coupling="conservative", intensity=0.0,
-         time_step=1e-4, end_time=0.05, average_from=0.02, output="out/salzman_jet", progress=True):
+         time_step=1e-4, end_time=0.05, average_from=0.02, output="out/salzman_jet", checkpoint_every=None, restart=None,
+         wall_time=None, progress=True):
     """Run the jets and return the summary."""
     if not 0 <= average_from < end_time:
         raise ValueError(f"--average-from is {average_from}; give a time before the end, {end_time} s.")
+    if restart not in (None, True):
+        raise ValueError(f"--restart is {restart}; each run goes on from the checkpoint in its own folder: give it "
+                         "without a name.")
     logging.getLogger().setLevel(logging.WARNING)
     options, runs, summary = dict(locals()), {}, {}
     for ratio in coarse_graining:

@@ -22,4 +22,4 @@ Field[1] = MathEval;
 Field[1].F = Sprintf("min(%g, %g + %g * Max(0, sqrt((Max(0, %g - x) + 0.35 * Max(0, x - %g))^2 + z^2 + Max(0, y - 0.02)^2) - %g))", size, d / cells, growth, x0, x0, r);
 Background Field = 1;
 Mesh.MeshSizeExtendFromBoundary = 0; Mesh.MeshSizeFromPoints = 0; Mesh.MeshSizeFromCurvature = 0;
-Mesh.Algorithm = 6; Mesh.Algorithm3D = 10; Mesh.Optimize = 1;
+Mesh.Algorithm = 6; Mesh.Algorithm3D = 1; Mesh.Optimize = 1;

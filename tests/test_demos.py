@@ -452,6 +452,16 @@ def test_salzman_jet(folder):
         salzman_jet.main(average_from=1.0, output=folder)
 
 
+def test_salzman_jet_goes_on_from_a_checkpoint(folder):
+    def jet(end, name, restart=None):
+        return salzman_jet.main((60.0,), cells=1.5, average_from=1e-3, time_step=2e-4, end_time=end, checkpoint_every=1e-3,
+                                restart=restart, output=folder + name, progress=False)
+    whole, _, rest = jet(4e-3, "/a"), jet(2e-3, "/b"), jet(4e-3, "/b", True)
+    for name in ("mass_error", "momentum_imbalance", "largest_solid_fraction", "parcels", "courant"):
+        key = "coarse_graining_60_" + name
+        assert rest[key] == pytest.approx(whole[key], rel=1e-9, abs=1e-11), name
+
+
 def test_mp_pic_beside_contacts(folder):
     summary = mp_pic_against_contacts.main(parcels=500, cells=2, time_step=(2e-3,), end_time=0.3, output=folder,
                                            progress=False)
