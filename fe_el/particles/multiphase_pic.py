@@ -176,7 +176,7 @@ class MultiphasePIC:
         kernels.row_bounds(space.dofs, space.gradient, weight, columns, mass, bound)
         kernels.sizes_at_walls(nodes, area_normal, self.solid_fraction * columns / np.maximum(mass, 1e-300), bound)
         self._sums.complete(bound)
-        carried, new, momentum = self.pressure.copy(), np.zeros(n), 1.0
+        carried, new, fraction, momentum = self.pressure.copy(), np.zeros(n), self.solid_fraction.copy(), 1.0
         velocity, force, rate = (work.empty(name, *shape) for name, shape in (("velocity", (n, d)), ("force", (n, d)),
                                                                              ("rate", (n,))))
         for count in range(1, self.iterations + 1):
@@ -186,7 +186,7 @@ class MultiphasePIC:
             kernels.expansion_at_walls(nodes, area_normal, self.solid_fraction, velocity, rate)
             self._sums.complete(rate)
             largest, along = kernels.new_pressures(self.solid_fraction, rate, self.room, bound, dt, self.stress.numbers,
-                                                   carried, self.pressure, new)
+                                                   carried, self.pressure, fraction, new)
             largest, along = largest_of(self.comm, largest)[0], sums_of(self.comm, along)[0]
             momentum, last = (1.0, 1.0) if along > 0 else (0.5 + np.sqrt(0.25 + momentum ** 2), momentum)
             carried[:] = new + (last - 1) / momentum * (new - self.pressure)

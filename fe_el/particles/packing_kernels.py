@@ -11,7 +11,7 @@ import numpy as np
 from fe_el.compiled.cache import njit
 from fe_el.compiled.for_each_dimension import FAST, D, M, by_dimension
 from fe_el.particles.motion import lag
-from fe_el.particles.solids_stress import implicit_fraction
+from fe_el.particles.solids_stress import implicit_fraction, stress_over_fraction
 
 BLUR = 0.05  # share of a particle that goes to all corners of its cell alike
 
@@ -159,13 +159,14 @@ def sizes_at_walls(nodes, area_normal, values, out):
 
 
 @njit
-def new_pressures(start, rate, room, bound, dt, numbers, carried, pressure, new):
+def new_pressures(start, rate, room, bound, dt, numbers, carried, pressure, fraction, new):
     """One step towards the pressures that belong to the solid fractions at the end of the time step.
 
     Args:
         start, rate: (nodes,) solid fraction before the step, and the rate at which its particles expand [m^3/s].
         room, bound: (nodes,) volume of the node [m^3], and the bound of :func:`row_bounds`.
         carried: (nodes,) pressures that the rate belongs to [Pa]; ``pressure``: those before.
+        fraction: (nodes,) solid fractions of these, as a first guess; those of the new ones.
         new: (nodes,) filled in.
 
     Returns:
@@ -181,8 +182,8 @@ def new_pressures(start, rate, room, bound, dt, numbers, carried, pressure, new)
             new[n] = 0.0
             continue
         total = moved + step * carried[n]
-        s = implicit_fraction(total, step, numbers)
-        new[n] = (total - s) / step if s > 0.0 else 0.0
+        fraction[n] = s = implicit_fraction(total, step, fraction[n], numbers)
+        new[n] = stress_over_fraction(s, numbers)[0] if s > 0.0 else 0.0
         difference = abs(moved - s) if s > 0.0 else 0.0
         largest = max(largest, difference)
         along += bound[n] * (carried[n] - new[n]) * (new[n] - pressure[n])

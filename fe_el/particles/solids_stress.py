@@ -7,36 +7,30 @@ from fe_el.compiled.cache import njit
 
 @njit
 def stress_over_fraction(s, numbers):
-    """tau / s [Pa] at a solid fraction from 0 to below 1."""
-    strength, exponent, packing, epsilon = numbers
-    return strength * s ** (exponent - 1.0) / max(packing - s, epsilon * (1.0 - s))
-
-
-@njit
-def slope_over_fraction(s, numbers):
-    """Derivative of tau / s with the solid fraction [Pa]."""
+    """tau / s at a solid fraction from 0 to below 1, and its derivative [Pa]."""
     strength, exponent, packing, epsilon = numbers
     room, rate = packing - s, 1.0
     if room < epsilon * (1.0 - s):
         room, rate = epsilon * (1.0 - s), epsilon
-    return strength * s ** (exponent - 2.0) * ((exponent - 1.0) * room + s * rate) / (room * room)
+    power = strength * s ** (exponent - 2.0) / room
+    return power * s, power * (exponent - 1.0 + s * rate / room)
 
 
 @njit
-def implicit_fraction(total, step, numbers):
+def implicit_fraction(total, step, guess, numbers):
     """The solid fraction s in [0, 1) with s + step tau(s) / s = total, by Newton's method between two bounds."""
     if total <= 0.0:
         return 0.0
     low, high = 0.0, min(total, 1.0 - 1e-12)
-    s = min(high, numbers[2])
+    s = min(high, guess if guess > 0.0 else numbers[2])
     for _ in range(100):
-        excess = s + step * stress_over_fraction(s, numbers) - total
+        stress, slope = stress_over_fraction(s, numbers)
+        excess = s + step * stress - total
         if excess > 0.0:
             high = s
         else:
             low = s
-        change = excess / (1.0 + step * slope_over_fraction(s, numbers))
-        new = s - change
+        new = s - excess / (1.0 + step * slope)
         if not low < new < high:
             new = 0.5 * (low + high)
         if abs(new - s) < 1e-14:
