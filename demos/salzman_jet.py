@@ -160,8 +160,8 @@ def one_run(options, folder, progress):
 
 
 def main(coarse_graining=(25.0,), smoothing_length=1.125e-3, cells=3.0, closure="wale", coupling="conservative",
-         intensity=0.0, time_step=1e-4, end_time=0.05, average_from=0.02, output="out/salzman_jet", checkpoint_every=None, restart=None,
-         wall_time=None, progress=True):
+         intensity=0.0, time_step=1e-4, end_time=0.05, average_from=0.02, output="out/salzman_jet", checkpoint_every=None,
+         restart=None, wall_time=None, progress=True):
     """Run the jets and return the summary."""
     if not 0 <= average_from < end_time:
         raise ValueError(f"--average-from is {average_from}; give a time before the end, {end_time} s.")
