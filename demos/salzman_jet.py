@@ -207,7 +207,7 @@ def picture_of_fields(folder, means, air, parcels):
         return
     from matplotlib import pyplot as plt
     (x, y, z, h, speed, solid), points = np.concatenate(rows).T, np.concatenate(points)
-    figure, axes = plt.subplots(1, 3, figsize=(13, 4.2), width_ratios=(3, 1, 1), layout="constrained")
+    figure, axes = plt.subplots(1, 3, figsize=(15, 4.4), width_ratios=(3, 1, 1), layout="constrained")
     near = np.abs(z) < 0.6 * h
     drawn = axes[0].tripcolor(1e3 * x[near], 1e3 * y[near], speed[near], shading="gouraud", cmap="coolwarm")
     figure.colorbar(drawn, ax=axes[0], label="gas velocity along x [m/s]")
