@@ -30,11 +30,13 @@ the solid fraction: the pressure of an accelerated liquid drives light particles
 s (C + 1 - s) < 2 (1 - s) C is stable for massless particles: for C = 1/2 up to s = 0.45, with Zuber's up to 0.64.
 """
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from fe_el.checks import not_negative_number
 from fe_el.compiled.cache import njit
+from fe_el.compiled.direct_calls import Direct
 from fe_el.nodes.work_arrays import WorkArrays
 
 
@@ -68,16 +70,25 @@ def relaxation(a):
     return part / a, 1 - part / a, 1 / part - 1 / a
 
 
-@njit(error_model="numpy")
-def _rows(dt, pressed, volume, density, added, beta, velocity, known, contact, carried, rate, rows):
-    """Fill V K, V P and V f_0 (n, 2 + d), and the rates of relaxation (n,) [1/s]; densities are infinite if held.
+class Moved(NamedTuple):
+    """Particles with their added mass, before the fluid is known; n of them in d dimensions."""
 
-    Args:
-        pressed: whether there is a pressure force.
-        known: (n, d) rho_e a_0, force per volume.
-        contact: (n, 3) of this, the contact force of the last step, which is expected again [N]; left out of f_0.
-        carried: (n, d) u_0.
-    """
+    volume: np.ndarray  #: (n, 1) [m^3]
+    density: np.ndarray  #: (n, 1) infinite if held [kg/m^3]
+    added: np.ndarray  #: (n,) C rho [kg/m^3]
+    beta: np.ndarray  #: (n, 1) [kg/(m^3 s)]
+    velocity: np.ndarray  #: (n, d) [m/s]
+    known: np.ndarray  #: (n, d) rho_e a_0, force per volume [N/m^3]
+    contact: np.ndarray  #: (n, 3) of this, the contact force of the last step, which is expected again; not in f_0 [N]
+    carried: np.ndarray  #: (n, d) u_0 [m/s]
+
+
+@njit(error_model="numpy")
+def _rows(dt, pressed, moved, rate, rows):
+    """Fill V K, V P and V f_0 (n, 2 + d), and the rates of relaxation (n,) [1/s]; without pressure force if not
+    ``pressed``."""
+    volume, density, added, beta = moved.volume, moved.density, moved.added, moved.beta
+    velocity, known, contact, carried = moved.velocity, moved.known, moved.contact, moved.carried
     for i in range(len(velocity)):
         own, b, v = density[i, 0], beta[i, 0], volume[i, 0]
         if own == np.inf:
@@ -96,16 +107,17 @@ def _rows(dt, pressed, volume, density, added, beta, velocity, known, contact, c
 
 
 @njit(error_model="numpy")
-def _forces(dt, volume, density, added, beta, velocity, known, contact, carried, rows, gravity, fluid, slope, given, force,
-            foreseen):
+def _forces(dt, moved, rows, gravity, fluid, slope, given, force, foreseen):
     """What fluid and pressure give (n, d), the force that moves particle and added mass (n, 3), and what is foreseen.
 
     Args:
-        velocity, known, contact, carried, rows: as in :func:`_rows`.
+        moved, rows: as in :func:`_rows`.
         fluid, slope: (n, d) velocity and pressure gradient of the end of the step.
         foreseen: (n, d) velocities before the step; then the momentum of the added mass after it, less what of the contact
             force goes to the fluid [kg m/s].
     """
+    volume, density, added, beta = moved.volume, moved.density, moved.added, moved.beta
+    velocity, known, contact, carried = moved.velocity, moved.known, moved.contact, moved.carried
     d = velocity.shape[1]
     for i in range(len(velocity)):
         own, b, v = density[i, 0], beta[i, 0], volume[i, 0]
@@ -126,6 +138,9 @@ def _forces(dt, volume, density, added, beta, velocity, known, contact, carried,
                 - dt * (late + m * added[i] / whole) * contact[i, k]
         for k in range(d, 3):
             force[i, k] = 0.0
+
+
+_fill_rows, _fill_forces = Direct(_rows), Direct(_forces)
 
 
 class AddedMassExchange:
@@ -158,24 +173,22 @@ class AddedMassExchange:
         p, (n, d), work = particles, x.velocity.shape, self._work
         self.wait = self.waiting(p, d)
         mean = x.fluid_velocity if x.offset is None else x.fluid_velocity - x.offset
-        self.carried = np.where(p.properties["added_mass"][:, None] == 0.0, mean, p.properties["_carried_velocity"])
-        self.added = self.law.density(solid, fluid_density)
-        self.known = x.acceleration * p.density[:, None]
+        carried = np.where(p.properties["added_mass"][:, None] == 0.0, mean, p.properties["_carried_velocity"])
+        added, velocity = self.law.density(solid, fluid_density), x.velocity if x.offset is None else x.velocity - x.offset
         self.rows, self.relaxation_rate = work.empty("rows", n, 2 + d), work.empty("relaxation_rate", n)
-        self.x, self.velocity = x, x.velocity if x.offset is None else x.velocity - x.offset
-        _rows(x.dt, self.pressed, x.volume, x.density, self.added, x.beta, self.velocity, self.known, p.mean_contact_force,
-              self.carried, self.relaxation_rate, self.rows)
-        gain = solid / (1 - solid) * (self.added + x.beta[:, 0] * x.dt) / fluid_density
+        self.dt, self.moved = x.dt, Moved(x.volume, x.density, added, x.beta, velocity, x.acceleration * p.density[:, None],
+                                          p.mean_contact_force, carried)
+        _fill_rows(x.dt, self.pressed, self.moved, self.relaxation_rate, self.rows)
+        gain = solid / (1 - solid) * (added + x.beta[:, 0] * x.dt) / fluid_density
         part = self.wait / (1 + gain)[:, None]
         self.wait = self.wait - part
         return self.rows, part / x.dt
 
     def force(self, particles, fluid_velocity, slope):
         """Sets the particles' ``force``; returns what drag, added mass and pressure give each (particles, d) [N]."""
-        p, x, d = particles, self.x, self.velocity.shape[1]
+        p, d = particles, self.moved.velocity.shape[1]
         given, foreseen = self._work.empty("given", len(p), d), p.velocity[:, :d].copy()
-        _forces(x.dt, x.volume, x.density, self.added, x.beta, self.velocity, self.known, p.mean_contact_force, self.carried,
-                self.rows, p.gravity, fluid_velocity, slope, given, p.force, foreseen)
-        p.properties.update(added_mass=self.added * x.volume[:, 0], _carried_velocity=fluid_velocity.copy(),
+        _fill_forces(self.dt, self.moved, self.rows, p.gravity, fluid_velocity, slope, given, p.force, foreseen)
+        p.properties.update(added_mass=self.moved.added * self.moved.volume[:, 0], _carried_velocity=fluid_velocity.copy(),
                             _waiting_impulse=self.wait, _foreseen_momentum=foreseen)
         return given

@@ -1,4 +1,6 @@
 """Volume that a sphere has in each cell: exact, from the parts of the sphere beyond the facets that it touches."""
+from typing import NamedTuple
+
 import numpy as np
 
 from fe_el.compiled.borrowed import borrowed
@@ -19,6 +21,27 @@ PAIR = np.array([[0, 1, 2], [0, 3, 4], [1, 3, 5], [2, 4, 5]], U)  # and the numb
 ENDS = np.array([[[0, 0], [2, 3], [1, 3], [1, 2]], [[2, 3], [0, 0], [0, 3], [0, 2]],
                  [[1, 3], [0, 3], [0, 0], [0, 1]], [[1, 2], [0, 2], [0, 1], [0, 0]]], U)  # vertices of the edge of a pair
 TAN_EIGHTH = np.sqrt(2) - 1  # tangent of an eighth of pi
+
+
+class CellRecords(NamedTuple):
+    """Cells, as :func:`overlap_shares` sees them; see :func:`cell_records`."""
+
+    geometry: np.ndarray  #: (32 cells,)
+    neighbour: np.ndarray  #: (4 cells,)
+    corner: np.ndarray  #: (cells, d + 1, 3) [m]
+    shift: np.ndarray  #: (cells, d + 1, 3) to the neighbour's place in a periodic box [m], or none
+
+
+class Notes(NamedTuple):
+    """Of a cell: the centre inside its facets, in radii, and those that it reaches. Of the facets and edges of a block of
+    spheres: what :func:`_visit` notes."""
+
+    inside: np.ndarray  #: (4,)
+    reached: np.ndarray  #: (4,)
+    geometry: np.ndarray  #: (facets, 5)
+    cut: np.ndarray  #: (facets, 3)
+    code: np.ndarray  #: (edges,)
+    edge: np.ndarray  #: (5, edges)
 
 
 def _arctangent_series(terms=10):
@@ -71,7 +94,7 @@ def cell_records(cells):
 
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
-def _visit(record, neighbour, shift, slot, place, r, number, shares, notes, count, e):
+def _visit(cells, slot, place, r, number, shares, notes, count, e):
     """Walk from a sphere's cell through the facets that it touches; what a facet's edges take is left to be done.
 
     Of a facet that ends in the sphere are noted: in ``geometry`` the distance of the centre from its plane in radii, the
@@ -82,7 +105,8 @@ def _visit(record, neighbour, shift, slot, place, r, number, shares, notes, coun
         The number of cells, 0 for more than ``place`` has room for, and the new numbers of notes and edges.
     """
     index, weight = shares
-    s, list_of, geometry, cut, code, edge = notes
+    record, neighbour, shift = cells.geometry, cells.neighbour, cells.shift
+    s, list_of, geometry, cut, code, edge = (notes.inside, notes.reached, notes.geometry, notes.cut, notes.code, notes.edge)
     periodic, scale, outside, known, done, fits = len(shift) > 0, 1 / r, U(len(index)) - U(1), U(1), U(0), True
     while fits and done < known:
         c, at, reached = U(index[number + done]), done if periodic else U(0), U(0)
@@ -138,9 +162,10 @@ def _visit(record, neighbour, shift, slot, place, r, number, shares, notes, coun
 
 
 @njit(fastmath=FAST, error_model="numpy")
-def _place_edges(corner, geometry, cut, code, edge, number):
+def _place_edges(corner, notes, number):
     """Complete ``edge``: distances of the plane, and of the edge from the foot of the centre, where it begins and ends from
     there, times its length over the radius, and the square of the length."""
+    geometry, cut, code, edge = notes.geometry, notes.cut, notes.code, notes.edge
     for e in range(number):
         k, g = code[e] >> U(2), code[e] & U(3)
         c, f = cut[k, 0] >> U(2), cut[k, 0] & U(3)
@@ -210,7 +235,7 @@ def overlap_shares(cells, slot, place, scratch, spheres, first, start, index, we
     Spheres are taken in blocks, so that the edges of a block are one loop without branches.
 
     Args:
-        cells: geometry and neighbours (see :func:`cell_records`), corners and shifts of the cells.
+        cells: a :class:`CellRecords`.
         slot: (cells,) all -1: place in the list of the sphere at hand.
         place: (limit, 3) for the centre, as each cell of a periodic mesh sees it; a sphere is in ``limit`` cells at most.
         scratch: see :func:`scratch_for`.
@@ -218,10 +243,8 @@ def overlap_shares(cells, slot, place, scratch, spheres, first, start, index, we
     """
     cells, slot, place, scratch = borrowed((cells, slot, place, scratch))
     spheres, start, index, weight = borrowed((spheres, start, index, weight))
-    record, neighbour, corner, shift = cells
-    cell, position, radius = spheres
-    notes, raw = scratch
-    limit, i, fits, most = len(place), first, True, len(notes[2])
+    record, (cell, position, radius), (notes, raw) = cells.geometry, spheres, scratch
+    limit, i, fits, most = len(place), first, True, len(notes.geometry)
     while fits and i < len(cell):
         begin, number, count, e = i, U(start[i]), U(0), U(0)
         raw[0] = number
@@ -232,15 +255,14 @@ def overlap_shares(cells, slot, place, scratch, spheres, first, start, index, we
             index[number], weight[number], middle = cell[i], 1.0, U(cell[i]) * U(RECORD) + U(13)
             for k in range(3):  # to a centre on an edge its facets would have no direction
                 place[0, k] = position[i, k] + INWARDS * (record[middle + U(k)] - position[i, k])
-            known, count, e = _visit(record, neighbour, shift, slot, place, radius[i], number, (index, weight), notes, count,
-                                     e)
+            known, count, e = _visit(cells, slot, place, radius[i], number, (index, weight), notes, count, e)
             fits = known > U(0)
             if not fits:
                 break
             i, number = i + 1, number + known
             raw[i - begin] = number
-        _place_edges(corner, notes[2], notes[3], notes[4], notes[5], e)
-        _take_edges(notes[5], notes[3], notes[4], e, weight)
+        _place_edges(cells.corner, notes, e)
+        _take_edges(notes.edge, notes.cut, notes.code, e, weight)
         _keep_parts(raw, begin, i, start, index, weight)
     return i
 
@@ -248,8 +270,8 @@ def overlap_shares(cells, slot, place, scratch, spheres, first, start, index, we
 def scratch_for(limit):
     """Arrays that :func:`overlap_shares` works on, for spheres in ``limit`` cells at most."""
     most = max(8 * limit, 1024)  # facets of a block that end inside spheres: up to four of each cell, with three edges
-    notes = (np.empty(4), np.empty(4, U), np.empty((most, 5)), np.empty((most, 3), U), np.empty(3 * most, U),
-             np.empty((5, 3 * most)))
+    notes = Notes(np.empty(4), np.empty(4, U), np.empty((most, 5)), np.empty((most, 3), U), np.empty(3 * most, U),
+                  np.empty((5, 3 * most)))
     return notes, np.empty(BLOCK + 1, U)
 
 
@@ -274,7 +296,7 @@ class OverlapVolume(ListedShares):
             self._barycentric, self._geometry = cells.barycentric, cell_records(cells)
             self._slot, self._curve = np.full(len(cells.volume), -1, np.int32), curve_through(cells)
         self._reserve(n, n + len(self._place) + 1)
-        spheres, around = self._in_order(cell, position, radius), (*self._geometry, cells.corner, cells.shift)
+        spheres, around = self._in_order(cell, position, radius), CellRecords(*self._geometry, cells.corner, cells.shift)
         while done < n:
             done = self._overlap_shares(around, self._slot, self._place, self._scratch, spheres, done, self._start,
                                         self._cell, self._weight)

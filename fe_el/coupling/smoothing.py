@@ -1,4 +1,6 @@
 """Smoothing of cell fields over a length: self-adjoint and conservative, with a constant matrix that is set up once."""
+from typing import NamedTuple
+
 import numpy as np
 from scipy.sparse import csr_matrix
 
@@ -25,10 +27,11 @@ def _to_cells(dofs, values, out):
 
 
 @njit(fastmath=FAST)
-def _chebyshev(start, column, value, inverse_diagonal, b, x_old, x, new, first, second, owned):
+def _chebyshev(rows, b, x_old, x, new, first, second):
     """new = x + first (x - x_old) + second D^-1 (b - H x) on the owned rows, once for each ``first``; components in
     pairs."""
-    k = b.shape[1]
+    start, column, value, inverse_diagonal = rows.start, rows.column, rows.value, rows.inverse_diagonal
+    k, owned = b.shape[1], len(start) - 1
     for step in range(len(first)):
         for i in range(owned):
             scale = second[step] * inverse_diagonal[i]
@@ -45,6 +48,15 @@ def _chebyshev(start, column, value, inverse_diagonal, b, x_old, x, new, first, 
                     rest -= value[n] * x[column[n], k - 1]
                 new[i, k - 1] = x[i, k - 1] + first[step] * (x[i, k - 1] - x_old[i, k - 1]) + scale * rest
         x_old, x, new = x, new, x_old
+
+
+class MatrixRows(NamedTuple):
+    """Owned rows of a matrix H with diagonal D."""
+
+    start: np.ndarray  #: (rows + 1,)
+    column: np.ndarray  #: (entries,) local
+    value: np.ndarray  #: (entries,)
+    inverse_diagonal: np.ndarray  #: (rows,)
 
 
 class Nodes(NodalSpace):
@@ -155,20 +167,18 @@ class HelmholtzSmoothing:
         owners = np.searchsorted(starts, ghosts, side="right") - 1
         self.halo = Halo.of_requests(comm, n + np.arange(len(ghosts)), owners, ghosts - starts[owners])
         self.rows = n + len(ghosts)
-        self.start, self.column, self.value = start.astype(np.uint64), local.astype(np.uint32), value.copy()
-        self.inverse_diagonal = 1 / csr_matrix((value, local, start), (n, self.rows)).diagonal()
+        self.matrix_rows = MatrixRows(start.astype(np.uint64), local.astype(np.uint32), value.copy(),
+                                      1 / csr_matrix((value, local, start), (n, self.rows)).diagonal())
 
     def _solve(self, load):
         """Approximate H^-1 load by the Chebyshev polynomial; owned entries are right on return."""
         n, k = self.nodes.owned_nodes, load.shape[1]
-        inverse, (x_old, x, new) = self.inverse_diagonal, np.zeros((3, self.rows, k))
+        inverse, (x_old, x, new) = self.matrix_rows.inverse_diagonal, np.zeros((3, self.rows, k))
         x[:n] = inverse[:, None] * load[:n] / self.middle
         at_once = len(self.first) if self.nodes.comm.size == 1 else 1
         for i in range(0, len(self.first), at_once):
             part = slice(i, i + at_once)
-            _chebyshev(self.start, self.column, self.value, inverse, load, x_old, self.halo.forward(x), new,
-                       self.first[part],
-                       self.second[part], n)
+            _chebyshev(self.matrix_rows, load, x_old, self.halo.forward(x), new, self.first[part], self.second[part])
             for _ in self.first[part]:
                 x_old, x, new = x, new, x_old
         return x

@@ -12,8 +12,7 @@ from fe_el.compiled.cache import njit
 from fe_el.particles.contacts.law_kernels import FAST
 
 BLOCK = 256  # particles whose relaxation is computed at once
-SERIES = tuple((-1) ** k / math.factorial(k + 1) for k in range(12))
-S0, S1, S2, S3, S4, S5, S6, S7, S8, S9, S10, S11 = SERIES
+S0, S1, S2, S3, S4, S5, S6, S7, S8, S9, S10, S11 = ((-1) ** k / math.factorial(k + 1) for k in range(12))
 
 
 @njit(fastmath=FAST)
