@@ -174,3 +174,25 @@ class Scalar:
         means = self.value.x.array[air.dofs].mean(1)
         phi = air.void_fractions[1]
         return air.comm.allreduce(float((air.density * phi * air.volume) @ means))
+
+    def saved(self):
+        """The nodal values."""
+        own, values = self.fluid.owned_nodes, {"value": self.value.x.array}
+        if self.outside is not None:
+            values["outside"] = self.outside
+        return {"nodes": (self.fluid.node_position[:own], {name: a[:own] for name, a in values.items()})}
+
+    def restore(self, state):
+        """Take the values back."""
+        air, nodes = self.fluid, state["nodes"]
+        self.value.x.array[:air.owned_nodes] = nodes["value"]
+        self.value.x.scatter_forward()
+        self.outside = None
+        if "outside" in nodes:
+            self.outside = np.zeros(air.nodes)
+            self.outside[:air.owned_nodes] = nodes["outside"]
+            air.node_halo.forward(self.outside)
+
+    def anew(self):
+        """Make the solver anew."""
+        self.make_solver()

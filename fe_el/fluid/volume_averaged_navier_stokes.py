@@ -14,6 +14,7 @@ from fe_el.fluid.continuity import Ledger
 from fe_el.fluid.drag_in_transport import DragInTransport
 from fe_el.fluid.pressure_equation import PressureEquation
 from fe_el.fluid.records import Exchange, PressureSystem
+from fe_el.fluid.saved_fluid import SavedFluid
 from fe_el.fluid.transport import Transport
 from fe_el.nodes.linear_solver import LinearSolver
 from fe_el.nodes.nodal_matrix import NodalMatrix
@@ -22,7 +23,7 @@ from fe_el.parallel.exchange import Halo
 START_STEPS = 2  # implicit Euler steps that damp a start which does not fit its boundary conditions
 
 
-class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport):
+class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport, SavedFluid):
     """Flow of a fluid through the void fraction phi left by particles (model A).
 
         d(rho phi)/dt + div(rho phi u) = 0

@@ -1,4 +1,6 @@
 """Boundaries that particles may leave through, rebound from, or come in through at a mass rate."""
+import json
+
 import numpy as np
 from mpi4py import MPI
 from scipy.spatial import cKDTree
@@ -248,3 +250,16 @@ class Inlet:
         close = np.flatnonzero(((gap ** 2).sum(1) < (radius + self.balls[:, 3]) ** 2)
                                & (np.abs((gap * self.balls[:, 4:]).sum(1)) < radius))
         return any(np.sum((np.array(nearest_point(self.others[f], *x)[:3]) - x) ** 2) < radius ** 2 for f in close)
+
+    def saved(self):
+        """What waits, and the state of the random numbers."""
+        return {"same": (None, {"inserted": self.inserted, "waiting": self.waiting,
+                                "next": np.nan if self.next is None else self.next,
+                                "generator": json.dumps(self.generator.bit_generator.state)})}
+
+    def restore(self, state):
+        """Take them back."""
+        same = state["same"]
+        self.inserted, self.waiting = int(same["inserted"]), float(same["waiting"])
+        self.next = None if np.isnan(same["next"]) else float(same["next"])
+        self.generator.bit_generator.state = json.loads(same["generator"])

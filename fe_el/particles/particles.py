@@ -7,6 +7,7 @@ from fe_el.parallel.exchange import largest_of, move, raise_everywhere
 from fe_el.parallel.failures import end_all_ranks_on_errors
 from fe_el.particles import insertion, location, motion, rows
 from fe_el.particles.open_boundaries import OpenBoundaries, Rebounds
+from fe_el.particles.saved_particles import SavedParticles
 
 FIELDS = {"position": (3,), "velocity": (3,), "angular_velocity": (3,), "diameter": (), "density": (), "force": (3,),
           "contact_force": (3,), "contact_torque": (3,), "mean_contact_force": (3,), "number": (), "relaxation_rate": ()}
@@ -20,7 +21,7 @@ class LostParticle(RuntimeError):
     """A particle is in no cell of the mesh."""
 
 
-class Particles:
+class Particles(SavedParticles):
     """Spheres with position [m], velocity [m/s], angular velocity [1/s], diameter [m] and density [kg/m^3].
 
     A parcel stands for ``number`` particles of ``primary_diameter``, whole or not, each parcel for its own: ``diameter`` is

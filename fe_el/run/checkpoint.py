@@ -8,9 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from fe_el.dolfinx_api import import_h5py
+from fe_el.mesh.places import nearest
 from fe_el.parallel.exchange import raise_everywhere
-from fe_el.run.checkpoint_parts import PARTS, make_anew, nearest
 
+# A state is a dict: name -> (points, arrays). With points (rows, 3) the arrays have a row for each and find their places by
+# these; without (``None``) they are rows that the part sorts out itself. The name "same" holds numbers that are alike on
+# every rank. A part that makes lists or solvers anew when it is restored does so in ``anew()``, when it is saved, too.
+KNOWN = "Particles", "Contacts", "VolumeAveragedNavierStokes", "Scalar", "Inlet"
 VERSION = 2
 HEADER = 512  # bytes before what HDF5 reads
 STRAY = 600  # [s] after which the part of a file that a killed run left is removed
@@ -28,7 +32,7 @@ def save_checkpoint(path, *parts, **numbers):
         parts: :class:`Particles`, :class:`Contacts`, :class:`VolumeAveragedNavierStokes`, :class:`Scalar`, :class:`Inlet`,
             :class:`Coupling`, :class:`TimeAverage`, :class:`Probe`, :class:`SubCycled`, :class:`ParaViewOutput`, steps of
             :func:`adaptive_steps`, and objects of a user's class that has ``saved()`` and ``restore(state)``
-            (:mod:`fe_el.run.checkpoint_parts`), if need be ``anew()``; particles before their contacts, the first one with a
+            (see this module's source), if need be ``anew()``; particles before their contacts, the first one with a
             mesh.
         numbers: what else to keep, for instance ``time=``; numbers, texts and arrays.
 
@@ -41,7 +45,7 @@ def save_checkpoint(path, *parts, **numbers):
     """
     comm, groups = comm_of(parts), {}
     for k, part in enumerate(parts):
-        for block, (points, arrays) in _functions(part)[0](part).items():
+        for block, (points, arrays) in _part(part).saved().items():
             name = f"{k}_{type(part).__name__}/{block}"
             if block == "same":
                 groups[name] = arrays
@@ -58,7 +62,8 @@ def save_checkpoint(path, *parts, **numbers):
             message = f"The checkpoint {path} cannot be written: {error}."
     raise_everywhere(comm, OSError, message)
     for part in parts:
-        make_anew(part)
+        if hasattr(part, "anew"):
+            part.anew()
 
 
 def _write(path, groups, numbers):
@@ -130,7 +135,7 @@ def load_checkpoint(path, *parts):
     states = [{block: _placed(comm, part, block, rows) for block, rows in data[name].items()}
               for name, part in zip(names, parts)]
     for part, state in zip(parts, states):
-        _functions(part)[1](part, state)
+        _part(part).restore(state)
     return data.get("numbers", {})
 
 
@@ -168,7 +173,7 @@ def _placed(comm, part, block, rows):
     """Rows with points in the order of this rank's own points; others as they are."""
     if "points" not in rows:
         return rows
-    points = _functions(part)[0](part)[block][0]
+    points = part.saved()[block][0]
     period = getattr((part if hasattr(part, "mesh") else part.fluid).mesh, "period", None)
     index, found = nearest(rows["points"], points, period)
     total = comm.allreduce(np.array([len(points), found.sum()]))
@@ -179,19 +184,18 @@ def _placed(comm, part, block, rows):
     return {key: a[index] for key, a in rows.items() if key != "points"}
 
 
-def _functions(part):
-    if hasattr(part, "saved") and hasattr(part, "restore"):
-        return type(part).saved, type(part).restore
-    for kind in type(part).__mro__:
-        if kind.__name__ in PARTS:
-            return PARTS[kind.__name__]
-    raise TypeError(f"A {type(part).__name__} has no state to keep; a checkpoint holds {', '.join(PARTS)}.")
+def _part(part):
+    """The part itself, if it has a state to keep."""
+    if not hasattr(part, "saved") or not hasattr(part, "restore"):
+        raise TypeError(f"A {type(part).__name__} has no state to keep; a checkpoint holds {', '.join(KNOWN)}, and objects "
+                        "that have saved() and restore(state).")
+    return part
 
 
 def comm_of(parts):
     """Communicator of the first part."""
     if not parts:
-        raise TypeError(f"Give a checkpoint the parts to keep: {', '.join(PARTS)}.")
+        raise TypeError(f"Give a checkpoint the parts to keep: {', '.join(KNOWN)}.")
     part = parts[0]
     for name in ("particles", "fluid", "mesh"):
         part = getattr(part, name, part) if not hasattr(part, "comm") else part

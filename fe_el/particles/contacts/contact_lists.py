@@ -7,6 +7,7 @@ from fe_el.particles.contacts import neighbours, springs, velocity_verlet, waves
 from fe_el.particles.contacts import walls as _walls
 from fe_el.particles.contacts.blocks import aligned
 from fe_el.particles.contacts.records import Candidates, FacetRows, Facets, Near, Pairs, Rows, ShapeRows, Tiles, WallRows
+from fe_el.particles.contacts.saved_contacts import SavedLists
 from fe_el.particles.contacts.wall_patches import smooth_patches
 from fe_el.particles.contacts.wall_shapes import FACETS, SURFACE, move_walls, shape_list
 from fe_el.particles.contacts.wall_surfaces import rotation
@@ -18,7 +19,7 @@ AHEAD = 80  # sub-steps that particles and walls have room for at their present 
 WIDEST = 0.5  # room at most, over the largest diameter
 
 
-class ContactLists:
+class ContactLists(SavedLists):
     """Neighbour pairs, facet contacts and contacts with planes and cylinders, as records for the compiled loops.
 
     Every particle has room to move in before the lists are out of date: half the skin, and more if it is fast. A pair is

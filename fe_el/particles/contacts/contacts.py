@@ -15,6 +15,7 @@ from fe_el.particles.contacts.contact_laws import HertzMindlin, LinearSpringDash
 from fe_el.particles.contacts.law_kernels import constant_rows
 from fe_el.particles.contacts.network import network_of
 from fe_el.particles.contacts.records import Assembly, Drift, Near
+from fe_el.particles.contacts.saved_contacts import SavedContacts
 from fe_el.particles.contacts.step_limit import step_limit
 from fe_el.particles.contacts.sub_steps import all_forces, near_numbers, sub_steps, wall_forces
 from fe_el.particles.contacts.wall_shapes import FACETS, SURFACE, FacetWalls, move_walls
@@ -25,7 +26,7 @@ _kick, _drift_on = Direct(velocity_verlet.kick), Direct(velocity_verlet.drift_on
 _sub_steps, _all_forces, _near_numbers, _wall_forces = map(Direct, (sub_steps, all_forces, near_numbers, wall_forces))
 
 
-class Contacts:
+class Contacts(SavedContacts):
     """Contacts of particles under a contact law, by velocity Verlet sub-steps.
 
     ``law``, ``wall_law``, the list ``walls``, motion and place of each wall, and diameter, density, material and position of

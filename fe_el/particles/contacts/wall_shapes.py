@@ -52,6 +52,12 @@ class _Wall:
         self.angular_velocity = finite_vector("angular velocity of a wall", self.angular_velocity)
         return np.concatenate([self.point, self.velocity, self.angular_velocity])
 
+    turned = np.eye(3)  # planes and cylinders turn by their normal or axis
+
+    def restore(self, motion, turned):
+        """Take back origin, velocity and rotation (9,), and how the wall is turned (3, 3)."""
+        self.point, self.velocity, self.angular_velocity = motion[:3].copy(), motion[3:6].copy(), motion[6:].copy()
+
 
 class FacetWalls(_Wall):
     """Tagged boundary facets of the mesh.

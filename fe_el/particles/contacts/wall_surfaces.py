@@ -56,6 +56,11 @@ class SurfaceWall(_Wall):
         """Rotation vector of the step so far, and a zero: none at its start."""
         return np.zeros(4)
 
+    def restore(self, motion, turned):
+        """Take back origin, velocity and rotation (9,), and how the wall is turned (3, 3)."""
+        super().restore(motion, turned)
+        self.turned = turned
+
     def moved(self, point, shape):
         """Take up where the wall is now."""
         self.point, self.turned = point.copy(), rotation(shape[:3]) @ self.turned
