@@ -85,13 +85,13 @@ def layers(beads, area):
 
 
 def bed_state(beads, area, velocity):
-    """Height of the bed, void fraction of its middle half, and pressure drop by Ergun's equation, layer by layer;
-    collective."""
-    void = layers(beads, area)
-    solid = 1 - void
+    """Height of the bed (twice that of its centre), its void fraction, and pressure drop by Ergun's equation with these and
+    layer by layer, which is more, as layers differ and the equation is convex; collective."""
+    by_layer = layers(beads, area)
+    solid = 1 - by_layer
     height = 2 * DIAMETER * (solid @ (np.arange(len(solid)) + 0.5)) / solid.sum()
-    middle = slice(int(0.25 * height / DIAMETER), max(int(0.75 * height / DIAMETER), int(0.25 * height / DIAMETER) + 1))
-    return height, void[middle].mean(), ergun(void, velocity, DIAMETER)[solid > 1e-3].sum()
+    void = 1 - solid.sum() * DIAMETER / height
+    return height, void, ergun(void, velocity, height), ergun(by_layer, velocity, DIAMETER)[solid > 1e-3].sum()
 
 
 def main(largest_velocity=0.024, ramp_time=1.5, settle_time=0.25, number=10_000, cell_size=0.003, time_step=1e-3,
@@ -130,7 +130,7 @@ def main(largest_velocity=0.024, ramp_time=1.5, settle_time=0.25, number=10_000,
 
 def finish(output, comm, rows, weight, ramp_time, numbers):
     """Compare with Ergun's equation and the weight; write curve, picture and summary."""
-    time, velocity, drop, height, void, expected = rows.T
+    time, velocity, drop, height, void, expected, by_layers = rows.T
     down, packed = time > ramp_time, (drop < 0.8 * weight) & (drop > 0.1 * weight)
     numbers |= {"weight_per_area": weight,
                 "pressure_drop_fluidised_over_weight": drop[velocity > 0.9 * velocity.max()].mean() / weight,
@@ -142,12 +142,13 @@ def finish(output, comm, rows, weight, ramp_time, numbers):
         if branch.sum() > 3:
             curve = np.polyfit(drop[branch], velocity[branch], 2)
             numbers |= {f"drop_over_ergun_{name}": ratio[branch].mean(),
+                        f"drop_over_ergun_by_layers_{name}": (drop / np.maximum(by_layers, 1e-300))[branch].mean(),
                         f"minimum_fluidisation_velocity_{name}": float(np.polyval(curve, weight))}
     if comm.rank == 0:
         with open(Path(output) / "curve.csv", "w", newline="") as file:
             writer = csv.writer(file)
             writer.writerow(["time_s", "superficial_velocity_m_s", "pressure_drop_Pa", "bed_height_m", "void_fraction",
-                             "ergun_by_layers_Pa"])
+                             "ergun_Pa", "ergun_by_layers_Pa"])
             writer.writerows(rows.tolist())
         picture(output, rows, weight, ramp_time, numbers)
     return fe_el.write_summary(output, comm, **numbers)
@@ -162,7 +163,7 @@ def picture(output, rows, weight, ramp_time, numbers):
         left.plot(1e3 * rows[part, 1], rows[part, 2], colour, label=f"velocity {name}")
         right.plot(1e3 * rows[part, 1], rows[part, 4], colour, label=f"velocity {name}")
     for part, style, name in ((up, "C0:", "rising"), (~up, "C3:", "falling")):
-        left.plot(1e3 * rows[part, 1], rows[part, 5], style, label=f"Ergun by layers, {name}")
+        left.plot(1e3 * rows[part, 1], rows[part, 5], style, label=f"Ergun, {name}")
     left.axhline(weight, color="0.5", label="weight of the bed")
     left.set(xlabel="superficial velocity [mm/s]", ylabel="pressure drop [Pa]", ylim=(0, 1.4 * weight))
     right.set(xlabel="superficial velocity [mm/s]", ylabel="void fraction of the bed")
