@@ -134,8 +134,8 @@ class HelmholtzSmoothing:
         spectrum = np.linalg.eigvalsh(elements * scale[:, :, None] * scale[:, None, :])
         low = -comm.allreduce(-spectrum[:, 0].min(initial=np.inf), op=_max())
         high = comm.allreduce(spectrum[:, -1].max(initial=0.0), op=_max())
-        matrix, root = csr_matrix((self.value, self.column.astype(np.int64), self.start.astype(np.int64)),
-                                  (n, self.rows)), np.sqrt(self.inverse_diagonal)
+        of, root = self.matrix_rows, np.sqrt(self.matrix_rows.inverse_diagonal)
+        matrix = csr_matrix((of.value, of.column.astype(np.int64), of.start.astype(np.int64)), (n, self.rows))
         place, x = np.zeros((nodes.nodes, 3)), np.zeros((self.rows, 1))
         place[nodes.dofs] = nodes.corner
         size = max(comm.allgather(float(np.abs(place).max(initial=0.0))))
