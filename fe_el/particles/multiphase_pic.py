@@ -11,7 +11,7 @@ from fe_el.particles import motion
 from fe_el.particles import packing_kernels as kernels
 from fe_el.particles.contacts.wall_shapes import FACETS, PLANE, FacetWalls
 from fe_el.particles.particles import Particles
-from fe_el.particles.reflection import reflect_at_facets, reflect_at_planes
+from fe_el.particles.reflection import Rebound, reflect_at_facets, reflect_at_planes
 from fe_el.particles.solids_stress import SolidsStress
 from fe_el.particles.wall_facets import facets_at_nodes, walls_of_facets
 
@@ -212,14 +212,14 @@ class MultiphasePIC:
     def _reflect(self, start, before, mass, dt):
         """Throw particles back from walls, and move the planes."""
         p = self.particles
-        rows = (p.velocity - before) / dt, mass, self.motion, float(self.wall_restitution), \
-            float(self.tangential_restitution), self.wall_impulse
+        rebound = Rebound((p.velocity - before) / dt, mass, self.motion, float(self.wall_restitution),
+                          float(self.tangential_restitution), self.wall_impulse)
         for k, wall in enumerate(self.walls):
             if wall.kind == PLANE:
                 wall.moved(wall.point + dt * self.motion[k, 3:6], wall.shape)
-                reflect_at_planes(k, wall.point, wall.normal, p.held, p.position, p.velocity, *rows)
+                reflect_at_planes(k, wall.point, wall.normal, p.held, p.position, p.velocity, rebound)
         reflect_at_facets(p.cells.barycentric, p.cells.neighbour, p.cells.shift, self.facet_wall, p.cell, start, p.position,
-                          p.velocity, *rows)
+                          p.velocity, rebound)
 
     def _ledger(self, mass, free, held, dt):
         """Forces on the walls, and what is left of the momentum that particles, walls and what is held gained together."""
