@@ -176,3 +176,57 @@ def test_sub_steps_know_how_many_sharp_sides_meet():
     law = fe_el.LinearSpringDashpot(K, 0.5, 0.0)
     limit = fe_el.Contacts(p, law, (tags, 3)).step_limit()
     assert limit == pytest.approx(fe_el.Contacts(p, law).step_limit() / np.sqrt(8 / 3) * np.sqrt(2))  # two beads: half m
+
+
+def along_the_impulse(p, start, out):
+    """Restitution of each bead along the impulse that the wall gave it."""
+    order = np.argsort(p.id)
+    impulse = p.velocity[order] - start
+    return -(p.velocity[order] * impulse).sum(1) / (start * impulse).sum(1)
+
+
+@pytest.mark.parametrize("restitution", [0.05, 0.5, 0.9])
+@pytest.mark.parametrize("ratio,sides", [(1.3, 16), (2.0, 16), (4.0, 16), (10.0, 16), (1.3, 32), (10.0, 256)])
+def test_restitution_along_the_impulse_in_a_pipe_of_few_sides(ratio, sides, restitution):
+    """Sides of 22 degrees turn rebounds, but along the impulse each bead rebounds by the law: the mean within 0.01."""
+    radius, count, speed = ratio * D / 2, 24, 0.5
+    mesh, tags = pipe(radius, sides, count * 1.5 * D)
+    p, c, out = row_of_beads(mesh, tags, ratio, count, fe_el.LinearSpringDashpot(K, restitution, 0.0), speed,
+                             radius - D / 2 - 0.02 * D)
+    for _ in range(40):
+        p.advance(5e-5, c)
+        if c.touching == 0 and ((p.velocity * out[p.id]).sum(1) < 0.4 * speed).all():
+            break
+    assert c.touching == 0
+    assert along_the_impulse(p, speed * out, out).mean() == pytest.approx(restitution, abs=0.01)
+
+
+@pytest.mark.parametrize("sides,angle", [(16, 45), (32, 30), (128, 60)])
+def test_flanks_of_a_cone_have_the_laws_restitution_and_stiffness(sides, angle):
+    """Beads that fly onto the flank far from the tip, at random angles: along the impulse within 0.01, force within 2 %."""
+    mesh, tags = cone(sides, angle)
+    count, random = 24, np.random.default_rng(2)
+    half = np.radians(angle)
+    around = random.uniform(0, 2 * np.pi, count)
+    normal = np.column_stack([-np.cos(half) * np.cos(around), -np.cos(half) * np.sin(around), np.full(count, np.sin(half))])
+    slant = np.column_stack([np.sin(half) * np.cos(around), np.sin(half) * np.sin(around), np.full(count, np.cos(half))])
+    foot = 0.035 / np.sin(half) * slant
+    for share, speed in ((-0.02, 0.4), (0.01, 0.0)):
+        errors = []
+        for k in range(count):
+            p = fe_el.Particles(mesh, RHO)
+            p.insert_at([foot[k] + (0.5 - share) * D * normal[k]], D, velocity=-speed * normal[k])
+            c = fe_el.Contacts(p, fe_el.LinearSpringDashpot(K, 0.5, 0.0), (tags, 3))
+            if not speed:
+                p.advance(1e-12, c)
+                corner = fe_el.mesh.cell_mesh.boundary_facets(mesh, tags, 3)[0]
+                flat = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+                flat /= np.linalg.norm(flat, axis=1)[:, None]
+                depth = D / 2 - np.abs((flat * p.position[0]).sum(1)).min()  # all planes go through the tip
+                errors.append(np.linalg.norm(p.contact_force[0]) / (K * depth) - 1 if depth > 1e-4 * D else 0.0)
+                continue
+            p.advance(5e-5, c)
+            while c.touching or (p.velocity[0] == -speed * normal[k]).all():
+                p.advance(5e-5, c)
+            errors.append(along_the_impulse(p, -speed * normal[k:k + 1], None)[0] - 0.5)
+        assert np.abs(np.mean(errors)) < 0.01 if speed else np.abs(errors).max() < 0.02

@@ -204,3 +204,19 @@ def test_a_state_that_was_just_loaded_can_be_saved(folder):
         run.go(5)
     compare(whole.state(), third.state(), same_bits)
     compare(whole.state(), again.state(), same_bits)
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("scene", SCENES)
+def test_a_hundred_steps_are_the_same_on_any_number_of_ranks(scene):
+    """Mean places and momenta, energies and numbers of particles against the run of each rank alone: 1e-10 of their size."""
+    together, alone, sums = scene(), scene(MPI.COMM_SELF), []
+    for run in (together, alone):
+        run.fill()
+        run.go(100)
+        p, air = run.beads, next((a for a in run.parts if isinstance(a, fe_el.VolumeAveragedNavierStokes)), None)
+        where = p.comm.allreduce((p.mass[:, None] * p.position).sum(0)) / p.comm.allreduce(p.mass.sum())
+        size = p.comm.allreduce((p.mass * np.linalg.norm(p.velocity, axis=1)).sum())
+        flow = air.momentum() / (air.density * p.comm.allreduce(air.volume.sum())) if air else np.zeros(1)
+        sums.append(np.concatenate([where, p.momentum() / size, [p.kinetic_energy() / size, p.total_number], flow]))
+    assert sums[0] == pytest.approx(sums[1], rel=1e-10, abs=1e-11)

@@ -5,6 +5,7 @@ run without a break, to round-off, and its series of frames is whole. SIGTERM, w
     python demos/benchmarks/kill_and_restart.py --kills 20
 """
 import argparse
+import json
 import os
 import random
 import re
@@ -64,7 +65,6 @@ def main(kills=20, signal_name="SIGKILL", seed=1, output="out/kill_and_restart")
         slowest = max(slowest, time.perf_counter() - tick)
         codes.append(run.returncode)
     finish(folder / "broken")
-    import json
     sums = [json.loads((folder / k / "summary.json").read_text()) for k in ("whole", "broken")]
     frames = [re.findall('timestep="([^"]+)"', (folder / k / "particles.pvd").read_text()) for k in ("whole", "broken")]
     return fe_el.write_summary(folder, kills=kills, exit_codes=sorted(set(codes)), slowest_end=slowest,

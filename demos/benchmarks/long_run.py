@@ -1,7 +1,7 @@
 """A small scene with everything in it, for many steps: memory, time per step and handles, which must not grow.
 
 Beads in gas with a scalar, an inlet, an outlet, walls of facets, a plane, a surface that turns, averages, a probe,
-checkpoints and output: 100,000 steps take about an hour on a core. Memory is what the process holds in RAM (VmRSS).
+checkpoints and output. Memory is what the process holds in RAM (VmRSS).
     python demos/benchmarks/long_run.py
     mpirun -n 2 python -m mpi4py demos/benchmarks/long_run.py
 """
@@ -97,8 +97,8 @@ def main(steps=100_000, record_every=1000, checkpoint_every=5000, output="out/lo
             rows.append((k, comm.allreduce(memory(), op=MPI.MAX), seconds, handles, scene.beads.total_number))
     rows = np.array(rows)
     if comm.rank == 0:
-        header = "step,memory_MB,seconds_per_step,files,particles"
-        np.savetxt(Path(output) / "long_run.csv", rows, "%.6g", ",", header=header)
+        np.savetxt(Path(output) / "long_run.csv", rows, "%.6g", ",",
+                   header="step,memory_MB,seconds_per_step,files,particles")
     late = rows[min(2, len(rows) - 1):]
     slope = np.polyfit(late[:, 0], late[:, 1], 1)[0] if len(late) > 2 else 0.0
     return fe_el.write_summary(output, comm, steps=steps, memory_first=rows[0, 1], memory_last=rows[-1, 1],

@@ -34,11 +34,11 @@ def messages_of(requests):
 
 
 def ranks_of(comm):
-    """What :func:`largest` needs of a communicator: number of ranks, handles, and room for the number.
+    """What :func:`largest` and :func:`total` need of a communicator: number of ranks, handles, and room for the number.
 
     A plain tuple, which numba recognises fast outside of compiled loops, too.
     """
-    handles = [int.from_bytes(_handle(thing), "little") for thing in (comm, MPI.DOUBLE, MPI.MAX)]
+    handles = [int.from_bytes(_handle(thing), "little") for thing in (comm, MPI.DOUBLE, MPI.MAX, MPI.SUM)]
     return comm.size, tuple(handles), np.zeros(2)
 
 
@@ -53,11 +53,23 @@ def exchange(messages):
 @njit
 def largest(ranks, number):
     """Largest of a number over all ranks; what is not a number counts as infinite. Collective."""
-    size, (comm, kind, operation), room = ranks
+    size, (comm, kind, operation, _), room = ranks
     number = math.inf if math.isnan(number) else number
     if size == 1:
         return number
     room[0] = number
     if _reduce(room.ctypes, room[1:].ctypes, 1, kind, operation, comm):
         raise RuntimeError("MPI could not find the largest number.")
+    return room[1]
+
+
+@njit
+def total(ranks, number):
+    """Sum of a number over all ranks. Collective."""
+    size, (comm, kind, _, operation), room = ranks
+    if size == 1:
+        return number
+    room[0] = number
+    if _reduce(room.ctypes, room[1:].ctypes, 1, kind, operation, comm):
+        raise RuntimeError("MPI could not add up a number.")
     return room[1]

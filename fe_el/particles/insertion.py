@@ -4,6 +4,7 @@ import numpy as np
 from fe_el import checks
 from fe_el.checks import require_positive
 from fe_el.compiled.cache import njit
+from fe_el.particles.contacts.wall_shapes import surface_point
 from fe_el.particles.contacts.walls import facet_balls, nearest_point
 
 
@@ -93,10 +94,19 @@ def displacements(count, dimension, largest, seed):
     return np.random.default_rng(seed).uniform(-1, 1, (count, dimension)) * largest
 
 
-def random_positions(lower, upper, count, diameter, seed, without_overlap, period=None, there=None, boundary=None):
+def shapes_of(walls):
+    """Kind, shape and origin of the planes and cylinders among some walls, as arrays."""
+    chosen = [w for w in walls if hasattr(w, "moved") and not hasattr(w, "corners")]
+    return (np.array([w.kind for w in chosen], np.int64), np.array([w.shape for w in chosen]).reshape(-1, 4),
+            np.array([w.motion()[:3] for w in chosen]).reshape(-1, 3))
+
+
+def random_positions(lower, upper, count, diameter, seed, without_overlap, period=None, there=None, boundary=None,
+                     shapes=None):
     """Uniform random positions (count, 3) in a box, at random or by sequential insertion without overlap.
 
-    ``there``: centres and radii of spheres that are there already, ``boundary``: facets; absent: none.
+    ``there``: centres and radii of spheres that are there already, ``boundary``: facets, ``shapes``: planes and cylinders
+    as :func:`shapes_of` gives them; absent: none.
     """
     lower, upper = np.asarray(lower, float), np.asarray(upper, float)
     count = checks.whole_number("number of particles", count, 1)
@@ -113,7 +123,8 @@ def random_positions(lower, upper, count, diameter, seed, without_overlap, perio
     there = there or (np.zeros((0, 3)), np.zeros(0))
     boundary = np.zeros((0, 3, 3)) if boundary is None else boundary
     balls = facet_balls(boundary) if len(boundary) else np.zeros((0, 7))
-    x, placed = _sequential(lo, hi, radius[order], seed, np.zeros(3) if period is None else period, *there, boundary, balls)
+    x, placed = _sequential(lo, hi, radius[order], seed, np.zeros(3) if period is None else period, *there,
+                            (boundary, balls, *(shapes or shapes_of([]))))
     if placed < count:
         raise ValueError(f"Only {placed} of {count} particles fit without overlap in the box from {lower.tolist()} to "
                          f"{upper.tolist()}; use a larger box, fewer particles, or insert_on_lattice.")
@@ -123,8 +134,12 @@ def random_positions(lower, upper, count, diameter, seed, without_overlap, perio
 
 
 @njit
-def _touches(x, radius, corner, ball):
-    """Whether a sphere reaches one of the facets."""
+def _touches(x, radius, obstacles):
+    """Whether a sphere reaches one of the facets, planes and cylinders."""
+    corner, ball, kind, shape, origin = obstacles
+    for n in range(len(kind)):
+        if surface_point(kind[n], shape[n], origin[n], x[0], x[1], x[2])[3] < radius:
+            return True
     for f in range(len(ball)):
         dx, dy, dz, far = x[0] - ball[f, 0], x[1] - ball[f, 1], x[2] - ball[f, 2], radius + ball[f, 3]
         if dx * dx + dy * dy + dz * dz < far * far and abs(dx * ball[f, 4] + dy * ball[f, 5] + dz * ball[f, 6]) < radius:
@@ -135,7 +150,7 @@ def _touches(x, radius, corner, ball):
 
 
 @njit
-def _sequential(lower, upper, new_radius, seed, period, there, their_radius, corner, ball):
+def _sequential(lower, upper, new_radius, seed, period, there, their_radius, obstacles):
     """Random sequential insertion, largest first, with bins of one largest diameter; periodic images count."""
     np.random.seed(seed)
     old, shape, size = len(there), np.ones(3, np.int64), np.empty(3)
@@ -157,7 +172,7 @@ def _sequential(lower, upper, new_radius, seed, period, there, their_radius, cor
             for k in range(3):
                 trial[k] = lower[k] + np.random.random() * (upper[k] - lower[k])
                 at[k] = min(int((trial[k] - lower[k]) / size[k]), shape[k] - 1)
-            free = not _touches(trial, radius[i] * (1 - 1e-9), corner, ball)
+            free = not _touches(trial, radius[i] * (1 - 1e-9), obstacles)
             for a in range(at[0] - 1, at[0] + 2):
                 for b in range(at[1] - 1, at[1] + 2):
                     for c in range(at[2] - 1, at[2] + 2):

@@ -157,11 +157,11 @@ class Particles(SavedParticles):
         self.layout += 1
 
     def insert_in_box(self, lower, upper, count, diameter, density=None, velocity=0.0, seed=0, without_overlap=False,
-                      **kind):
+                      walls=(), **kind):
         """Insert ``count`` particles at random in a box; ``diameter`` is a number or one per particle [m].
 
         ``without_overlap``: they overlap neither each other nor particles that are there already, and lie wholly inside the
-        boundary of the mesh (planes and cylinders among the walls are not known here).
+        boundary of the mesh and off the ``walls``, for instance those of :class:`Contacts`.
 
         ``kind``: ``material``, ``coarse_graining`` and ``number`` as in :meth:`insert_at`.
 
@@ -175,7 +175,11 @@ class Particles(SavedParticles):
         require_positive("diameter", diameter)
         there = insertion.spheres_near(self, lower, upper, 0.5 * np.max(diameter)) if without_overlap else None
         near = insertion.boundary_near(self, lower, upper, 0.5 * np.max(diameter)) if without_overlap else None
-        x = insertion.random_positions(lower, upper, count, diameter, seed, without_overlap, self.period, there, near)
+        for wall in walls if without_overlap else ():
+            if hasattr(wall, "corners"):
+                near = np.concatenate([near.reshape(-1, 3, 3), wall.corners()])
+        x = insertion.random_positions(lower, upper, count, diameter, seed, without_overlap, self.period, there, near,
+                                       insertion.shapes_of(walls))
         self.insert_at(x, diameter, density, velocity, **kind)
 
     def insert_on_lattice(self, lower, upper, diameter, density=None, velocity=0.0, seed=0, **kind):

@@ -40,6 +40,7 @@ class ContactLists(SavedLists):
         self.meeting, self.facets = self._facets()
         self.kind, self.wall_top = np.array([w.kind for w in walls] or [FACETS], np.int64), 0.0
         self.motion, self.shape, self.wall_material = self._wall_rows()
+        self.load = np.zeros((len(self.motion), 8))
         self.carried, self.turn = np.zeros(0, np.int64), np.tile(np.eye(3), (len(self.motion), 1, 1))
         self.tile_starts, self.strips, self.tile_layout, self.tiles = None, 1, None, waves.NONE
         self.ghosts, self.pairs, self.restored, self.has_shapes = None, None, None, bool((self.kind != FACETS).any())
@@ -75,17 +76,23 @@ class ContactLists(SavedLists):
         """Take up walls as the user has set them; whether these, or particles changed since, put the lists out of date."""
         before, shapes = (self.motion, self.shape), self.kind != FACETS
         self.motion, self.shape, self.wall_material = self._wall_rows()
+        self._take_up_loads()
         self.pose_surfaces()
         jumped = (self.motion[:, :3] != before[0][:, :3]).any(1) | (self.shape != before[1]).any(1)
         faster = (self.motion[:, 3:] != before[0][:, 3:]).any() and self._wall_speed() > self.wall_top
         return bool((jumped & shapes).any()) or faster or self._particles_changed()
+
+    def _take_up_loads(self):
+        """Loads as the user has set them; the forces of the last sub-step stay."""
+        for k, wall in enumerate(self.walls):
+            self.load[k, :5] = wall.load_row()
 
     def pose_surfaces(self):
         """Put the facets of surfaces where these are now, and note which of them move."""
         moving = [self.carried[:0]]
         for k, rows in self.surfaces.items():
             wall = self.walls[k]
-            if self.motion[k, 3:].any():
+            if self.motion[k, 3:].any() or wall.load is not None:
                 moving.append(np.arange(rows.start, rows.stop))
             if k not in self.posed or not np.array_equal(self.posed[k], (*wall.point, *wall.turned.flat)):
                 self.facets.corner[rows] = wall.corners()
@@ -102,6 +109,8 @@ class ContactLists(SavedLists):
     def move_alone(self, dt):
         """Move the walls by ``dt`` [s] where there are no particles."""
         self.motion, self.shape, self.wall_material = self._wall_rows()
+        self._take_up_loads()
+        self.motion[:, 3:6] += dt * (self.load[:, 3] * self.load[:, 4])[:, None] * self.load[:, :3]
         move_walls(self.kind, self.shape, self.motion, dt)
         self.move_walls()
 
@@ -121,6 +130,8 @@ class ContactLists(SavedLists):
                 wall.moved(self.motion[k, :3], self.shape[k])
             if wall.kind == SURFACE:
                 self.shape[k] = 0.0
+            if wall.load is not None:
+                wall.velocity = self.motion[k, 3:6].copy()
 
     def with_walls(self, walls, step, layout):
         """New lists for other walls, with the springs of all contacts that stay."""
@@ -151,8 +162,8 @@ class ContactLists(SavedLists):
         return float((np.linalg.norm(moving[:, 3:6], axis=1) + np.linalg.norm(moving[:, 6:], axis=1) * size).max())
 
     def has_moving_shapes(self):
-        """Whether a plane or cylinder moves."""
-        return bool(self.motion[self.kind != FACETS, 3:].any())
+        """Whether a wall leaves its place."""
+        return bool(self.motion[self.kind != FACETS, 3:].any() or self.load[:, 4].any())
 
     def pack(self, external):
         """Fill the rows of owned and ghost particles from these, and return them; the same memory until renewed."""
@@ -164,7 +175,7 @@ class ContactLists(SavedLists):
 
     def wall_rows(self, force, deepest):
         """All walls, with arrays for the forces on them and for the largest overlap."""
-        return WallRows(self.motion, self.wall_material, force, deepest, self.carried, self.turn)
+        return WallRows(self.motion, self.wall_material, force, deepest, self.load, self.carried, self.turn)
 
     def shape_entries(self):
         """Planes and cylinders near particles, and these as the user has set them."""
@@ -207,6 +218,7 @@ class ContactLists(SavedLists):
         self.rows.state[:, 0] = radius
         self.weigh()
         self._lists(x, pairs, self.ghosts.grow(room), kept, step)
+        self.load[:, 6] = 0.0
         self.x0, self.age = np.column_stack([p.position, (room - h * speeds) ** -2]), 0  # out of date a sub-step early
         self.rebuilds += 1
 
@@ -243,7 +255,8 @@ class ContactLists(SavedLists):
 
     def _choose_wall_room(self, largest, h):
         """How far planes and cylinders may move before the lists are out of date [m], and their speed over that [1/s]."""
-        speed = self.wall_top = largest_of(self.particles.comm, max(self._wall_speed(), self.wall_top))[0]
+        falls = (self.load[:, 3] * self.load[:, 4]).max() * AHEAD * h  # speed that loads give until the lists are old
+        speed = self.wall_top = largest_of(self.particles.comm, max(self._wall_speed() + falls, self.wall_top))[0]
         self.wall_room = max(0.5 * self.skin, min(AHEAD * h * speed, WIDEST * largest), 3 * h * speed) if speed else 0.0
         self.wall_rate = speed / self.wall_room if speed else 0.0
 

@@ -18,7 +18,7 @@ from fe_el.particles.contacts.records import Assembly, Drift, Near
 from fe_el.particles.contacts.saved_contacts import SavedContacts
 from fe_el.particles.contacts.step_limit import step_limit
 from fe_el.particles.contacts.sub_steps import all_forces, near_numbers, sub_steps, wall_forces
-from fe_el.particles.contacts.wall_shapes import FACETS, SURFACE, FacetWalls, move_walls
+from fe_el.particles.contacts.wall_shapes import FACETS, SURFACE, FacetWalls, move_walls, note_forces, push_walls
 from fe_el.particles.contacts.wall_surfaces import carry_facets
 from fe_el.particles.particles import LostParticle, Particles
 
@@ -176,6 +176,7 @@ class Contacts(SavedContacts):
         h, done = dt / self.steps_last, 0
         self.lists.prepare_turns(h)
         self.wall_impulse = np.zeros((max(len(self.walls), 1), 6))
+        self.lists.load[:, 7] = 0.0
         if self.layout != p.layout:
             self._rebuild(h)
             self._first_forces()
@@ -245,20 +246,22 @@ class Contacts(SavedContacts):
             lists.ghosts.forward_state(rows.x, rows.state)
             rows.force[len(self.particles):] = 0.0
             if lists.has_shapes:
+                push_walls(lists.load, lists.motion, self.ranks, h)
                 move_walls(lists.kind, lists.shape, lists.motion, h)
                 carry_facets(lists.facets, lists.carried, lists.motion, lists.turn, h)
             moved = largest(self.ranks, moved)
             self._forces(h, moved)
             lists.age += 1
-            self.stale = not moved <= 1 or lists.wall_rate * h * lists.age > 1
+            self.stale = not moved <= 1 or lists.wall_rate * h * lists.age > 1 or bool(
+                lists.load[:, 6].max() > lists.wall_room)
         return steps
 
     def _compiled_steps(self, h, most, drift):
         """The same in one call, with a built-in law."""
         lists = self.lists
         steps, self.stale, self.touching, behind, self.largest_overlap, *near = _sub_steps(
-            most, h, lists.age, lists.wall_rate, self._assembly(drift), lists.ghosts.rows(), lists.tiles, lists.near,
-            self.step, self.largest_overlap)
+            most, h, lists.age, lists.wall_rate, lists.wall_room, self._assembly(drift), lists.ghosts.rows(), lists.tiles,
+            lists.near, self.step, self.largest_overlap)
         self.step, lists.age, lists.near = self.step + steps, lists.age + steps, Near(*near)
         self.behind = behind if behind >= 0 else self.behind
         return steps
@@ -300,6 +303,7 @@ class Contacts(SavedContacts):
             self._assembly(Drift(none, none[:, 0], none, none)), lists.near, moved, self.step, h, self.largest_overlap)
         lists.near = Near(*near)
         self.behind = behind if behind >= 0 else self.behind
+        note_forces(lists.load, self.wall_impulse)
         return None
 
     def _array_forces(self, h, moved):
@@ -313,6 +317,7 @@ class Contacts(SavedContacts):
                                                   self.wall_block, self.wall_law.numbers, self.step, h)
             self.behind = behind if behind >= 0 else self.behind
         touching, overlap = array_forces(self.law, lists.rows, lists.pairs, self.step, h)
+        note_forces(lists.load, self.wall_impulse)
         self.touching = touching + touching_walls
         self.largest_overlap = max(self.largest_overlap, overlap, walls.deepest[0])
 

@@ -108,6 +108,7 @@ class WallRows(NamedTuple):
     material: np.ndarray  #: (walls,)
     force: np.ndarray  #: (walls, 6) sums over sub-steps of force [N] and torque about the origin [N m]
     deepest: np.ndarray  #: (1,) largest overlap over the diameter so far
+    load: np.ndarray  #: (walls, 8) direction, size, inverse mass (0: none), force of a sub-step, way [m], sum of forces
     carried: np.ndarray  #: (facets that move,)
     turn: np.ndarray  #: (walls, 3, 3) rotation of each wall in a sub-step
 

@@ -11,7 +11,7 @@ class SavedLists:
     def restore(self, state):
         """Springs for the particles of this rank, and walls where they were."""
         p, kept, same = self.particles, [], state["same"]
-        self.shape[:], self.motion[:] = same["shape"], same["motion"]
+        self.shape[:], self.motion[:], self.load[:, 5] = same["shape"], same["motion"], same["pushed"]
         self.move_walls()
         for wall, motion, turned in zip(self.walls, self.motion, same["turned"]):
             wall.restore(motion, turned)
@@ -52,7 +52,7 @@ class SavedContacts:
         skin = np.nan if lists.skin is None else lists.skin
         turned = np.array([wall.turned for wall in lists.walls])
         out["same"] = (None, {"step": self.step, "time": self.time, "turned": turned, "shape": lists.shape,
-                              "motion": lists.motion, "skin": skin, "age": lists.age, "rebuilds": lists.rebuilds,
+                              "pushed": lists.load[:, 5], "motion": lists.motion, "skin": skin, "age": lists.age, "rebuilds": lists.rebuilds,
                               "known": self.layout == p.layout, "largest_overlap": self.largest_overlap})
         return out
 

@@ -9,7 +9,7 @@ from fe_el.parallel.messages import largest
 from fe_el.particles.contacts.pair_forces import pair_forces
 from fe_el.particles.contacts.records import Near, ShapeRows
 from fe_el.particles.contacts.velocity_verlet import drift_on
-from fe_el.particles.contacts.wall_shapes import move_walls, shape_forces
+from fe_el.particles.contacts.wall_shapes import move_walls, note_forces, push_walls, shape_forces
 from fe_el.particles.contacts.wall_surfaces import carry_facets
 from fe_el.particles.contacts.walls import facet_forces
 from fe_el.particles.contacts.waves import part_of, refresh_images, wave_length
@@ -126,11 +126,12 @@ def wave(number, ahead, h, assembly, ghosts, tiles, near, step, deepest):
 
 
 @njit
-def sub_steps(most, h, age, wall_rate, assembly, ghosts, tiles, near, step, deepest):
+def sub_steps(most, h, age, wall_rate, wall_room, assembly, ghosts, tiles, near, step, deepest):
     """Sub-steps with built-in laws, at most ``most``, until the lists are out of date; the first kick is half a step.
     Collective.
 
-    ``wall_rate`` is the largest speed of a wall over the room it has before the lists are out of date [1/s].
+    ``wall_rate`` is the largest speed of a wall over the room it has before the lists are out of date [1/s], ``wall_room``
+    that room [m].
 
     Returns:
         sub-steps made, whether the lists are out of date, and what :func:`all_forces` returns, of any sub-step for a
@@ -138,6 +139,7 @@ def sub_steps(most, h, age, wall_rate, assembly, ghosts, tiles, near, step, deep
     """
     assembly, ghosts, tiles = borrowed(assembly), borrowed(ghosts), borrowed(tiles)
     rows, drift, shapes, walls = assembly.rows, assembly.drift, assembly.shapes, assembly.walls
+    loaded = walls.load[:, 4].max() > 0
     owned, made, touching, behind, stale, ahead, part = len(drift.x0), 0, 0, -1, False, 0.0, 0.5
     first, number = np.int64(0), np.int64(1)  # as literals they would be compiled for twice
     while made < most and not stale:
@@ -145,18 +147,22 @@ def sub_steps(most, h, age, wall_rate, assembly, ghosts, tiles, near, step, deep
             moved, speed, change = drift_on(rows, drift, part, h, first, owned)
             forward_state(ghosts, owned, rows.x, rows.state)
             rows.force[owned:] = 0.0
+            if loaded:
+                push_walls(walls.load, walls.motion, ghosts.ranks, h)
             move_walls(shapes.kind, shapes.shape, walls.motion, h)
             if len(walls.carried):
                 carry_facets(assembly.facets.facets, walls.carried, walls.motion, walls.turn, h)
             moved = largest(ghosts.ranks, moved)
             touching, back, deepest, reach, pairs, facets = all_forces(assembly, near, moved, step + made + 1, h, deepest)
+            if loaded:
+                note_forces(walls.load, walls.force)
         else:
             moved, speed, change, touching, back, deepest, reach, pairs, facets = wave(
                 number, ahead, h, assembly, ghosts, tiles, near, step + made + 1, deepest)
         near = Near(reach, pairs, facets)
         behind, made, part = max(behind, back), made + number, 1.0
         room = 1 - math.sqrt(moved)
-        stale = not room >= 0 or wall_rate * h * (age + made) > 1
+        stale = not room >= 0 or wall_rate * h * (age + made) > 1 or loaded and walls.load[:, 6].max() > wall_room
         if len(tiles.starts) > 1 and wall_rate == 0.0 and not stale:
             number, ahead = wave_length(min(most - made, tiles.at_once), room, h, math.sqrt(speed), math.sqrt(change))
             ahead += math.sqrt(moved)

@@ -3,6 +3,7 @@ import numpy as np
 
 from fe_el.checks import finite_vector, positive_number, whole_number
 from fe_el.compiled.cache import njit
+from fe_el.parallel.messages import total
 from fe_el.particles.contacts.blocks import BLOCK
 from fe_el.particles.contacts.law_kernels import FAST
 from fe_el.particles.contacts.wall_blocks import add_contact, finish_block
@@ -24,9 +25,12 @@ class _Wall:
     What is set anew between two steps counts from the next step on; ``point`` and direction of planes, cylinders and
     surfaces move. A function of time, set as ``drive``, gives velocity and angular velocity in the middle of each step: with
     ``wall.drive = lambda time: ((0, 0, 0.1 * np.sin(300 * time)), (0, 0, 0))`` it shakes. ``time`` is that which its
-    contacts have been advanced by [s].
+    contacts have been advanced by [s]. With ``wall.load = (0, 0, -2.0), 0.05`` a plane, cylinder or surface is a body of
+    0.05 kg that may move up and down, under a force of 2 N (its weight included) and that of the particles.
     """
 
+    #: (force (3,) [N], mass [kg]): the wall moves along this force, driven by it and by the particles; absent: not
+    load = None
     drive = None  #: function time -> (velocity (3,), angular velocity (3,)); absent: they stay as they are
 
     def __init__(self, point, material, velocity, angular_velocity):
@@ -43,6 +47,16 @@ class _Wall:
             except (TypeError, ValueError):
                 raise ValueError(f"The drive of a wall gives {str(self.drive(time))[:60]} at time {time:g} s; it must give "
                                  "two vectors, velocity [m/s] and angular velocity [1/s].") from None
+
+    def load_row(self):
+        """Direction of the load, its size [N], and one over the mass [1/kg], zero where there is none; checked."""
+        if self.load is None:
+            return np.zeros(5)
+        if self.kind == FACETS or self.drive is not None or not isinstance(self.load, (tuple, list)) or len(self.load) != 2:
+            raise ValueError(f"The load of a wall is {self.load!r}; give (force (3,) [N], mass [kg]) to a plane, cylinder "
+                             "or surface without a drive.")
+        force, mass = finite_vector("load of a wall", self.load[0]), positive_number("mass of a wall", self.load[1])
+        return np.array([*_direction("load", force, "a force"), np.linalg.norm(force), 1 / mass])
 
     def motion(self):
         """Origin, velocity and rotation in one row, after checking them and the material."""
@@ -128,7 +142,7 @@ class CylinderWall(_Wall):
 
 
 @njit(fastmath=FAST, forceinline=True)
-def _surface_point(kind, shape, origin, x, y, z):
+def surface_point(kind, shape, origin, x, y, z):
     """Nearest point of a plane or cylinder, and the distance (negative behind the wall)."""
     dx, dy, dz = x - origin[0], y - origin[1], z - origin[2]
     along = dx * shape[0] + dy * shape[1] + dz * shape[2]
@@ -147,7 +161,7 @@ def shape_list(x, reach, owned, kind, shape, motion):
     particle, wall = [np.int32(0) for _ in range(0)], [np.int32(0) for _ in range(0)]
     for i in range(owned):
         for n in range(len(kind)):
-            if kind[n] < 2 and _surface_point(kind[n], shape[n], motion[n], x[i, 0], x[i, 1], x[i, 2])[3] < reach[i]:
+            if kind[n] < 2 and surface_point(kind[n], shape[n], motion[n], x[i, 0], x[i, 1], x[i, 2])[3] < reach[i]:
                 particle.append(np.int32(i))
                 wall.append(np.int32(n))
     return np.array(particle, dtype=np.int32), np.array(wall, dtype=np.int32)
@@ -161,7 +175,7 @@ def shape_forces(rows, shapes, walls, block, numbers, step, h):
     touching, m, bad, total = 0, np.int64(0), 0, len(particle)
     for k in range(total):
         i, n = particle[k], wall[k]
-        px, py, pz, distance = _surface_point(kind[n], shape[n], motion[n], x[i, 0], x[i, 1], x[i, 2])
+        px, py, pz, distance = surface_point(kind[n], shape[n], motion[n], x[i, 0], x[i, 1], x[i, 2])
         if distance < radius[i]:
             if not distance > 0:
                 bad = -1 - np.int64(i)
@@ -191,3 +205,24 @@ def move_walls(kind, shape, motion, h):
             az += h * (motion[n, 6] * shape[n, 1] - motion[n, 7] * shape[n, 0])
             length = np.sqrt(ax * ax + ay * ay + az * az)
             shape[n, 0], shape[n, 1], shape[n, 2] = ax / length, ay / length, az / length
+
+
+@njit
+def push_walls(load, motion, ranks, h):
+    """Change the velocities of walls under loads by these and the forces of the last sub-step. Collective."""
+    for n in range(len(load)):
+        if load[n, 4] > 0:
+            change = h * (load[n, 3] + total(ranks, load[n, 5])) * load[n, 4]
+            way = 0.0
+            for k in range(3):
+                motion[n, 3 + k] += change * load[n, k]
+                way += h * motion[n, 3 + k] * load[n, k]
+            load[n, 6] += abs(way)
+
+
+@njit
+def note_forces(load, force):
+    """Keep the force along each load in the sub-step that ``force``, the sums so far, ends with."""
+    for n in range(len(load)):
+        along = load[n, 0] * force[n, 0] + load[n, 1] * force[n, 1] + load[n, 2] * force[n, 2]
+        load[n, 5], load[n, 7] = along - load[n, 7], along
