@@ -28,6 +28,8 @@ from demos.benchmarks import (
     error_against_run_time,
     fluid_error,
     fluid_speed,
+    kill_and_restart,
+    long_run,
     mp_pic_against_contacts,
     parcel_speed,
     stability_map,
@@ -474,3 +476,17 @@ def test_parcel_speed(folder):
     summary = parcel_speed.main(numbers=(500, 2000), steps=2, cells=(18, 7), output=folder, progress=False)
     assert summary["bytes_per_parcel_2000"] < 300 and summary["million_parcel_steps_per_second_2000"] > 0
     assert np.isfinite(summary["exponent_all"])
+
+
+def test_long_run(folder):
+    """Sixty steps of the scene with everything in it: the table, memory and handles."""
+    summary = long_run.main(60, 20, 30, folder, progress=False)
+    assert summary["particles"] > 30 and summary["files"] <= summary["files_first"] + 2
+    assert len(np.genfromtxt(folder + "/long_run.csv", delimiter=",")) == 3
+
+
+def test_killed_runs_go_on(folder):
+    """Nothing before the last checkpoint is lost, and the series of frames is whole."""
+    summary = kill_and_restart.main(2, output=folder)
+    assert summary["same_frames"] and summary["frames"] > 10 and summary["exit_codes"] == [-9]
+    assert summary["kinetic_energy_difference"] < 1e-10 and summary["left_mass_difference"] == 0

@@ -67,3 +67,55 @@ def test_a_run_goes_on_while_nobody_tells_it_to_stop():
         fe_el.StopAndSave(print, -1.0)
     with pytest.raises(ValueError, match="function"):
         fe_el.StopAndSave("run.h5")
+
+
+class Falling:
+    """A bead that falls, and how often its state was asked for."""
+
+    def __init__(self):
+        mesh, _ = fe_el.box((0.02, 0.02, 0.02), (2, 2, 2))
+        self.beads, self.saves = fe_el.Particles(mesh, 2500.0, (0, 0, -1.0)), 0
+
+    def saved(self):
+        self.saves += 1
+        return {"same": (None, {"saves": self.saves})}
+
+    def restore(self, state):
+        self.saves = int(state["same"]["saves"])
+
+    def run(self, path, end, **options):
+        """Advance to the end; the times of the steps that were made."""
+        times = []
+        with fe_el.Checkpoints(path, self.beads, self, **options) as checkpoints:
+            if not checkpoints.time:
+                self.beads.insert_at([(0.01, 0.01, 0.019)], 1e-3)
+            for now in fe_el.time_steps(0.01, end, checkpoints.time, progress=False):
+                self.beads.advance(0.01)
+                times.append(now)
+                checkpoints.after(now)
+        return times
+
+
+def test_checkpoints_at_intervals_and_from_where_a_run_goes_on(tmp_path, capfd):
+    """Every third step; a run without a file begins and says so; one that goes on makes the steps that are left."""
+    path, first = tmp_path / "a.h5", Falling()
+    assert len(first.run(path, 0.1, every=0.03, restart=True)) == 10 and first.saves == 3
+    assert "the run begins" in capfd.readouterr().err
+    again = Falling()
+    assert again.run(path, 0.1, every=0.03, restart=True) == pytest.approx([0.1]) and again.saves == 3
+    assert (again.beads.position == first.beads.position).all()
+    assert Falling().run(tmp_path / "b.h5", 0.1, restart=path) == pytest.approx([0.1])
+    assert not (tmp_path / "b.h5").exists()
+    fe_el.save_checkpoint(path, again.beads, again)
+    with pytest.raises(ValueError, match="at which time"):
+        fe_el.Checkpoints(path, again.beads, again, restart=True)
+    with pytest.raises(FileNotFoundError):
+        fe_el.Checkpoints(path, again.beads, again, restart=tmp_path / "none.h5")
+
+
+def test_checkpoints_write_when_the_wall_time_is_over(tmp_path):
+    falling = Falling()
+    with pytest.raises(SystemExit) as left:
+        falling.run(tmp_path / "a.h5", 10.0, wall_time=1e-6)
+    assert left.value.code == 75 and falling.saves == 1
+    assert Falling().run(tmp_path / "a.h5", 0.03, restart=True) == pytest.approx([0.02, 0.03])

@@ -110,7 +110,6 @@ class Contacts(SavedContacts):
     def _take_up(self):
         """What was changed since the last step: laws, walls, and sizes, masses and places of particles. Collective."""
         p, lists = self.particles, self.lists
-        self._check_parts()
         if self._spring_width() > lists.width:
             raise ValueError("The contact law now has rolling friction, for which the contacts keep no springs; make new "
                              "Contacts with this law.")
@@ -161,6 +160,7 @@ class Contacts(SavedContacts):
     def advance(self, dt):
         """Advance the particles by ``dt`` [s] in velocity Verlet sub-steps."""
         p, tick, renewing = self.particles, time.perf_counter(), self.seconds["neighbours"]
+        self._check_parts()
         for wall in self.walls:
             wall.follow(self.time + 0.5 * dt)
         self.time += dt

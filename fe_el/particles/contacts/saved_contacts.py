@@ -52,8 +52,9 @@ class SavedContacts:
         skin = np.nan if lists.skin is None else lists.skin
         turned = np.array([wall.turned for wall in lists.walls])
         out["same"] = (None, {"step": self.step, "time": self.time, "turned": turned, "shape": lists.shape,
-                              "pushed": lists.load[:, 5], "motion": lists.motion, "skin": skin, "age": lists.age, "rebuilds": lists.rebuilds,
-                              "known": self.layout == p.layout, "largest_overlap": self.largest_overlap})
+                              "pushed": lists.load[:, 5], "motion": lists.motion, "skin": skin, "age": lists.age,
+                              "rebuilds": lists.rebuilds, "known": self.layout == p.layout,
+                              "largest_overlap": self.largest_overlap})
         return out
 
     def restore(self, state):
