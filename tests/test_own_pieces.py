@@ -79,7 +79,7 @@ def test_own_wall_shape():
     bead = fe_el.Particles(mesh, 2500.0, gravity=(0, 0, -9.81))
     bead.insert_at([[0.055, 0.05, 0.05025 + 5.2e-4]], 1e-3)
     contacts = fe_el.Contacts(bead, fe_el.LinearSpringDashpot(50.0, 0.2, 0.0), bowl)
-    along = [bead.advance(1e-3, contacts) or bead.position[0, 0] - 0.05 for _ in range(240)]
+    along = [bead.advance(1e-3, contacts) or bead.position[0, 0] - 0.05 for _ in range(600)]
     turns = np.flatnonzero(np.diff(np.sign(along)))
     assert 2 * np.diff(turns).mean() * 1e-3 == pytest.approx(2 * np.pi / np.sqrt(20 * 9.81), rel=0.05)
 
