@@ -1,4 +1,5 @@
 """Every demo, small."""
+import csv
 import json
 import os
 import re
@@ -29,6 +30,7 @@ from demos.benchmarks import (
     fluid_error,
     fluid_speed,
     kill_and_restart,
+    leaving_out,
     long_run,
     mp_pic_against_contacts,
     parcel_speed,
@@ -490,3 +492,13 @@ def test_killed_runs_go_on(folder):
     summary = kill_and_restart.main(2, output=folder)
     assert summary["same_frames"] and summary["frames"] > 10 and summary["exit_codes"] == [-9]
     assert summary["kinetic_energy_difference"] < 1e-10 and summary["left_mass_difference"] == 0
+
+
+def test_leaving_out(folder):
+    """Every variant runs, and what is left out is in no stage."""
+    numbers = leaving_out.main(slice=0.1, settle_time=0.02, steps=3, output=folder, progress=False)
+    rows = {row["scene"]: row for row in csv.DictReader(open(folder + "/leaving_out.csv"))}
+    assert len(rows) == len(leaving_out.VARIANTS) and numbers["particles"] == 2772 + 1794
+    assert rows["everything"]["smoothing"] and not rows["no smoothing"]["smoothing"]
+    assert not rows["dry"]["fluid"] and not rows["dry"]["drag"] and not rows["gas alone"]["contacts"]
+    assert not rows["fixed bed"]["neighbours"] and not rows["frozen flow"]["fluid"]
