@@ -216,17 +216,17 @@ def main(coupling="conservative", time_step=4.9e-5, end_time=0.2, coarse_grainin
         "coupling": coupling, "time_step": time_step, "end_time": end_time, "coarse_graining": coarse_graining,
         "closure": closure, "steps": step, "stable": stable, "wall_time": wall,
         "processor_milliseconds_per_step": 1e3 * processor / step, "cells": comm.allreduce(scene.air.num_cells),
-        "courant": scene.air.courant(time_step) if stable else np.nan})
+        "courant": scene.air.courant(time_step) if stable else None})
 
 
 def finish(output, scene, record, numbers):
     """Write curves, picture and summary."""
     p, jet, comm = scene.parcels, scene.jet, scene.mesh.comm
-    held = comm.allreduce(p.mass.sum())
+    held, late = comm.allreduce(p.mass.sum()), record.imbalance[len(record.imbalance) // 2:]
     numbers |= {"parcels": p.total_number, "parcels_in": jet.parcels, "parcels_left": p.left,
                 "mass_balance": abs(held + p.left_mass - jet.mass) / max(jet.mass, 1e-300),
-                "third_law_error": float(np.mean(record.imbalance[len(record.imbalance) // 2:] or [np.nan])),
-                "largest_third_law_error": max(record.imbalance, default=np.nan),
+                "third_law_error": float(np.mean(late)) if late else None,
+                "largest_third_law_error": max(record.imbalance, default=None),
                 **fe_el.stage_seconds(scene.air, scene.coupling)}
     if numbers["stable"] and len(record.rows) >= BLOCKS:
         penetration, error = record.penetration()
