@@ -1,7 +1,5 @@
 """Two-way coupling: particles to three cell fields, and the impulse the fluid really gave back to them."""
 import math
-import time
-import warnings
 
 import numpy as np
 from dolfinx import fem
@@ -9,26 +7,26 @@ from dolfinx import fem
 from fe_el.checks import function_or_class_of, positive_number, same_mesh
 from fe_el.coupling import mapping as _mapping
 from fe_el.coupling import particle_loops as loops
-from fe_el.coupling.added_mass import AddedMass, AddedMassExchange
+from fe_el.coupling.added_mass import AddedMass
+from fe_el.coupling.drag_exchange import DragExchange
 from fe_el.coupling.fields import CellMean, PressureGradientMean
-from fe_el.coupling.fitting import fitting, step_beyond_sense
-from fe_el.coupling.fluid_at_particles import METHODS, AskedOfFluid, FluidAtParticles, check_force, given
+from fe_el.coupling.fitting import fitting
+from fe_el.coupling.fluid_at_particles import METHODS, AskedOfFluid, check_force
 from fe_el.coupling.forces import Buoyancy, Drag, PressureGradient
+from fe_el.coupling.ledger import Ledger
 from fe_el.coupling.lift_and_torque import Spin
+from fe_el.coupling.light_particles import LightParticles
 from fe_el.coupling.maps import Maps
+from fe_el.coupling.open_forces import OpenForces
 from fe_el.coupling.over_filled import Spill
-from fe_el.coupling.relaxing_slip import over_step
-from fe_el.coupling.schemes import Exchange, Explicit, scheme_of
+from fe_el.coupling.schemes import scheme_of
 from fe_el.coupling.smoothing import FixedValues
-from fe_el.coupling.undisturbed import OwnVelocity, UndisturbedVelocity
+from fe_el.coupling.undisturbed import UndisturbedVelocity
 from fe_el.dolfinx_api import scalar_space, vector_space
 from fe_el.nodes.work_arrays import WorkArrays
-from fe_el.parallel.exchange import largest_of, raise_everywhere, sums_of
-
-LIQUID = 0.1  # density of a fluid over that of the particles, from which its answer to displaced volume drives them
 
 
-class Coupling(Maps):
+class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
     """Momentum exchange of particles with any fluid that takes a void fraction, a drag coefficient and a source.
 
     Particles give their volume, drag and momentum to cells through the shares of a mapping, the excess of over-filled cells
@@ -192,40 +190,6 @@ class Coupling(Maps):
         self.answers = None if answers < 0 else bool(answers)
         self.over_filled_total, self._kept, self._mapped = int(state["same"]["over_filled_total"]), None, None
 
-    def _added_mass(self, law, scheme, mean_velocity):
-        """The exchange with added mass: if a law is given, or where particles are so light that without one they explode."""
-        message = None
-        if law is None and self._too_light():
-            law = AddedMass()
-        if law is None:
-            return None
-        if scheme != "conservative":
-            message = f"Added mass, which particles as light as the fluid need, needs scheme='conservative', not {scheme!r}."
-        elif mean_velocity is not None:
-            message = "Added mass and several steps of the fluid in one (mean_velocity) do not go together."
-        raise_everywhere(self.comm, ValueError, message)
-        return AddedMassExchange(law, self.pressure_force is not None)
-
-    def _own_velocity(self):
-        """What takes a particle's own part off the fluid velocity that drag sees.
-
-        Raises:
-            ValueError: where that part is not known.
-        """
-        if self.dimension != 3:
-            raise ValueError("The undisturbed velocity is known in three dimensions only.")
-        if not hasattr(self.mapping, "concentration"):
-            raise ValueError(f"The undisturbed velocity needs a mapping that lists its shares, not {self.mapping!r}.")
-        return OwnVelocity(self.density, self.viscosity, self.smoothing)
-
-    def _too_light(self):
-        """Whether the pressure force on a particle that is here, or of the density of those to come, is unstable without
-        added mass, in the fullest cells."""
-        p = self.particles
-        lightest = min(p.default_density, -largest_of(self.comm, -p.density.min(initial=np.inf))[0])
-        self.checked = p.next_id
-        return self.pressure_force is not None and lightest < self.density * self.largest / (2 * (1 - self.largest))
-
     # -- particles to fluid --------------------------------------------------------------------------------------------
 
     def to_fluid(self, dt):
@@ -258,59 +222,15 @@ class Coupling(Maps):
             self._set(2, self._reaction())
         self._end("drag", tick)
 
-    def _ask(self, dt):
-        """Let the forces of the open list see the fluid, and add up those that they give."""
-        self.at_fluid, self.explicit_reaction = None, self._none
-        if self.asked is None:
-            return
-        p, d = self.particles, self.dimension
-        back = self._back(self.asked.columns(self.cell_velocity))
-        means = self._gather(back, "asked")
-        if self.linear is not None and self.asked.velocity:
-            self.linear.gather(np.ascontiguousarray(back[:, :d]), means[:, :d])
-        solid = self._gather(self.solid, "solid_of_forces") if self.asked.solid else None
-        self.at_fluid = FluidAtParticles(p, dt, self.density, self.viscosity, self.volume[:, 0],
-                                         self.asked.quantities(means, solid, p.velocity[:, :d]))
-        if "force" in self.others:
-            self.explicit_reaction = np.zeros((len(p), d))
-            for force in self.others["force"]:
-                self.explicit_reaction += given(force, "force", self.at_fluid, (len(p), d))
-        if self.spin is not None:
-            self.turn, self.torque = self.spin.over_step(self.at_fluid)
-
-    def _reaction(self):
-        """Momentum source (owned cells, d) by the forces of the open list: the opposite of what particles get."""
-        source = 0.0
-        if "force" in self.others:
-            source -= self._to_cells(self.explicit_reaction)
-        if self.spin is not None:
-            source -= self.spin.force_of(self._to_cells(self.torque))
-        return source
-
     def _as_before(self):
         """Whether all particles are held and where they were when they were mapped."""
-        p, same = self.particles, False
+        p, last = self.particles, self._mapped
         if not p.all_held():
             self._mapped = None
             return False
-        now = p.cells, p.position, p.diameter
-        if self._mapped is not None:
-            same = self._mapped[0] is now[0] and all(np.array_equal(a, b) for a, b in zip(self._mapped[1:], now[1:]))
+        same = last is not None and last[0] is p.cells and all(map(np.array_equal, last[1:], (p.position, p.diameter)))
         self._mapped = p.cells, p.position.copy(), p.diameter.copy()
         return self.comm.allreduce(int(same)) == self.comm.size
-
-    def _share_ahead(self, dt):
-        """Share of the step after which places are taken; see ``positions``."""
-        if self.ahead is not None:
-            return self.ahead
-        if self.answers is False:
-            return 0.5
-        courant = loops.largest_courant(self.cell_velocity, self._cell_size, dt)
-        density = self.density / self.particles.density.min(initial=np.inf)
-        courant, density = largest_of(self.comm, courant, density)
-        if density > LIQUID:
-            return 0.0
-        return 0.5 * float(np.clip((4 - courant) / 3, 0.0, 1.0))
 
     def _map(self, dt):
         """Shares of the cells in every particle, and the void fraction."""
@@ -328,103 +248,6 @@ class Coupling(Maps):
         self.solid = self.spill(content)[:, :1] / p.cells.volume[:, None]
         self._solid_ledger(volume)
         self._set(0, 1 - self.solid)
-
-    def _drag_fields(self, dt):
-        """A and B from the drag of each particle over the coming step."""
-        p, d = self.particles, self.dimension
-        cell_velocity, n, velocity = self.cell_velocity, p.cells.owned, p.velocity[:, :d]
-        back, offset = self._old_velocity(cell_velocity), None
-        mean = self._gather(np.hstack([self.solid, back]), "solid_and_velocity")
-        if self.linear is not None:
-            linear = self._work.empty("linear", len(p), d)
-            self.linear.gather(back, linear)
-            offset = linear - mean[:, 1:]
-            mean[:, 1:] = linear
-        if self.own is not None:
-            own = self.own.now(p, d)
-            mean[:, 1:] -= own
-        solid, slip = self._work.empty("solid", len(p)), self._work.empty("slip", len(p))
-        loops.fluid_at_particles(mean, velocity, solid, slip)
-        if self.own is not None:
-            volume = p.cells.volume
-            solid = self.own.around(p, self.mapping.concentration(volume), self._gather(volume[:, None]), solid, slip)
-        beta = self._coefficient(solid, slip, dt)
-        if self.own is not None:
-            ahead = self.own.ahead(dt, p, beta)
-            mean[:, 1:] += own - ahead
-            offset = -ahead if offset is None else offset - ahead
-        inertia, acceleration = self._accelerations()
-        self.exchange = Exchange(dt, self.volume, inertia, velocity, acceleration, beta[:, None], mean[:, 1:], offset,
-                                 self._to_cells, lambda q: self._deposit(q)[:n], cell_velocity,
-                                 self.fixed or (lambda field, filled: field), p.late)
-        a, b = self.scheme.fields(self.exchange) if self.added is None else self._fields_with_added_mass(solid)
-        if self.reacts:
-            b = b + self._reaction()
-        if self.steps_to_check == 0:
-            self._check_step(dt, beta)
-        self.steps_to_check -= 1
-        self._set(1, a)
-        self._set(2, b)
-
-    def _check_step(self, dt, beta):
-        """Warn once of a step far beyond sense; in the first step and then every hundredth."""
-        p, n = self.particles, self.particles.cells.owned
-        in_cells = self._to_cells(self.volume * beta[:, None])[:, 0] / (self.density * (1 - self.solid[:n, 0]))
-        rates = largest_of(self.comm, in_cells.max(initial=0.0), np.where(p.held, 0.0, beta / p.density).max(initial=0.0))
-        message = step_beyond_sense(dt, *rates, type(self.scheme) is Explicit)
-        self.steps_to_check = -1 if message else 100
-        if message and self.comm.rank == 0:
-            warnings.warn(message, RuntimeWarning, stacklevel=4)
-
-    def _fields_with_added_mass(self, solid):
-        """The same, and the share of the pressure gradient that particles hand on to the fluid."""
-        rows, self.late = self.added.fields(self.exchange, self.particles, solid, self.density)
-        out = self._to_cells(np.hstack([rows[:, :2], self.late - rows[:, 2:]]))
-        self._set(3, out[:, 1:2])
-        return out[:, :1], out[:, 2:]
-
-    def _coefficient(self, solid, slip, dt):
-        """Drag coefficient of each particle, checked."""
-        p, beta = self.particles, np.zeros(len(self.particles)) if self.drag is None else self._by_law(solid, slip, dt)
-        for force in self.others.get("drag_coefficient", ()):
-            beta = beta + given(force, "drag_coefficient", self.at_fluid, (len(p),))
-        i, message = loops.first_bad(beta), None
-        if i >= 0:
-            message = (f"The drag law gave {beta[i]:g} for particle {p.id[i]} at solid fraction {solid[i]:g} and slip "
-                       f"{slip[i]:g} m/s (step {p.step}, rank {self.comm.rank}); it must be finite and not negative. Check "
-                       f"the "
-                       "law's range or use larger cells.")
-        raise_everywhere(self.comm, FloatingPointError, message)
-        return beta
-
-    def _by_law(self, solid, slip, dt):
-        """Drag coefficient of each particle by the law of :class:`Drag`, at its slip or over the step."""
-        p, sauter = self.particles, None
-        if self.drag.polydisperse:
-            sizes = np.hstack([self.volume, self.volume / p.primary_diameter[:, None]])
-            sums = self._gather(self._on_cells(self._to_cells(sizes)))
-            sauter = sums[:, 0] / sums[:, 1]
-
-        def at(slip):
-            return self.drag.coefficient(solid, slip, diameter, self.density, self.viscosity, sauter)
-        diameter = p.primary_diameter
-        if not self.drag.relaxing:
-            return at(slip)
-        beta, rate = over_step(at, slip, p.density, dt * (1 - p.late) if len(p.late) else dt)
-        self.of_way = np.where(p.held, 1.0, rate * p.density / beta)
-        return np.where(p.held, at(slip), beta)
-
-    def _accelerations(self):
-        """Densities (particles, 1), infinite if held, and accelerations (particles, d): by gravity, the last mean contact
-        force,
-        and the other forces of the fluid as of the last step."""
-        p, n = self.particles, len(self.particles)
-        inertia, acceleration = self._work.empty("inertia", n, 1), self._work.empty("acceleration", n, self.dimension)
-        loops.accelerations(p.held, self.volume, p.density, p.gravity, self._steady, p.mean_contact_force,
-                            self.explicit_reaction,
-                            self._none if self.added is not None else p.properties.get("_pressure_gradient", self._none),
-                            inertia, acceleration)
-        return inertia, acceleration
 
     # -- fluid to particles --------------------------------------------------------------------------------------------
 
@@ -460,60 +283,4 @@ class Coupling(Maps):
         self._momentum_ledger(given, received, mass, changed)
         self._end("drag", tick)
 
-    def _forces(self, fluid_velocity, slope):
-        """Set the particles' forces; returns the sum of those by fields of the fluid (d,), and of the masses."""
-        p, drag, gradient, reaction = self.particles, self._none, self._none, self.explicit_reaction
-        if self.drags:
-            drag = self.scheme.force(fluid_velocity)
-            if self.own is not None:
-                self.own.update(p, drag)
-        p.relaxation_rate[:] = self.scheme.relaxation_rate * self.of_way if self.drags else 0.0
-        if self.pressure_force is not None:
-            gradient = p.properties.setdefault("_pressure_gradient", np.empty((len(p), self.dimension)))
-        return loops.total_force(self.volume, p.density, self._steady, drag, reaction, slope, gradient, p.force)
-
-    def _forces_with_added_mass(self, fluid_velocity, slope):
-        """The same with added mass; the fluid has received what contacts did to it in the last step, too."""
-        p, reaction, d = self.particles, self.explicit_reaction, self.dimension
-        given = self.added.force(p, fluid_velocity, slope)
-        if self.own is not None:
-            self.own.update(p, given + self.volume * slope if slope.shape[1] else given)
-        given = given - self.late
-        p.relaxation_rate[:] = self.added.relaxation_rate
-        p.force[p.held, :d] += self.volume[p.held] * self._steady
-        if len(reaction):
-            p.force[p.held, :d] += reaction[p.held]
-        return given.sum(0) + reaction.sum(0), p.inertia.sum()
-
-    def _momentum_ledger(self, given, received, mass, changed):
-        """What particles and fluid gained against each other, and whether the fluid changed anywhere in the step."""
-        p, d = self.particles, self.dimension
-        sums = sums_of(self.comm, *given, *(given + received), mass, changed)
-        self.answers = bool(sums[-1] > 0)
-        weight = sums[-2] * np.linalg.norm(p.gravity)
-        self.momentum_imbalance = float(np.abs(sums[d:2 * d]).max() / (weight or max(np.linalg.norm(sums[:d]), 1e-300)))
-
     # -- maps ----------------------------------------------------------------------------------------------------------
-
-    def _begin(self):
-        return time.perf_counter(), self.seconds.get("smoothing", 0.0)
-
-    def _end(self, stage, tick):
-        """Book the time of a stage, less the smoothing inside it."""
-        self.seconds[stage] += time.perf_counter() - tick[0] - (self.seconds.get("smoothing", 0.0) - tick[1])
-
-    def _old_velocity(self, velocity):
-        """The cell velocity made ready for particles; what the last step smoothed serves again if nothing was spilled."""
-        if self._kept is None or self.spill.moves:
-            return self._back(velocity)
-        same = np.array_equal(self._kept[0], velocity) and len(self._kept[1]) == len(self.particles.cells.volume)
-        if self.comm.allreduce(int(same)) < self.comm.size:
-            return self._back(velocity)
-        return np.ascontiguousarray(self._kept[1])
-
-    def _solid_ledger(self, volume):
-        """Solid volume on the cells against ``volume`` of this rank's particles, and the fullest cell."""
-        cells, n = self.particles.cells, self.particles.cells.owned
-        on_cells, of_particles = sums_of(self.comm, self.solid[:n, 0] @ cells.volume[:n], volume)
-        self.solid_volume_error = abs(on_cells - of_particles) / max(of_particles, 1e-300)
-        self.max_solid_fraction = float(largest_of(self.comm, self.solid[:n, 0].max(initial=0.0))[0])

@@ -1,4 +1,6 @@
 """Checks and positions of inserted particles."""
+from typing import NamedTuple
+
 import numpy as np
 
 from fe_el import checks
@@ -8,8 +10,29 @@ from fe_el.particles.contacts.wall_shapes import surface_point
 from fe_el.particles.contacts.walls import facet_balls, nearest_point
 
 
+class Obstacles(NamedTuple):
+    """What particles must not overlap: facets with their balls, planes and cylinders."""
+
+    corner: np.ndarray  #: (facets, d, 3) [m]
+    ball: np.ndarray  #: (facets, 7)
+    kind: np.ndarray  #: (shapes,)
+    shape: np.ndarray  #: (shapes, 4)
+    origin: np.ndarray  #: (shapes, 3 or more) [m]
+
+
+class New(NamedTuple):
+    """Particles that are to be inserted, with full arrays of n rows."""
+
+    position: np.ndarray  #: (n, 3) [m]
+    diameter: np.ndarray  #: (n,) [m]
+    density: np.ndarray  #: (n,) [kg/m^3]
+    velocity: np.ndarray  #: (n, 3) [m/s]
+    material: np.ndarray  #: (n,)
+    number: np.ndarray  #: (n,) particles in each
+
+
 def check(particles, position, diameter, density, velocity, material, coarse_graining, number):
-    """Full arrays of the arguments of an insertion, after checking them."""
+    """The arguments of an insertion as full arrays, after checking them."""
     if checks.numbers("positions", position).size == 0:
         raise ValueError("The particle set is empty; give at least one position.")
     x = checks.points("positions", position)
@@ -27,8 +50,8 @@ def check(particles, position, diameter, density, velocity, material, coarse_gra
         raise ValueError(f"The material is {material}; give the index of a material, 0 or more, or one for each particle.")
     density = particles.default_density if density is None else density
     number = checks.per_particle("coarse graining", coarse_graining, n) ** 3 if number is None else number
-    return (x, *(checks.per_particle(name, a, n) for name, a in (("diameter", diameter), ("density", density))), full,
-            np.broadcast_to(kinds.astype(np.int32), n), checks.per_particle("number of particles in a parcel", number, n))
+    return New(x, checks.per_particle("diameter", diameter, n), checks.per_particle("density", density, n), full,
+               np.broadcast_to(kinds.astype(np.int32), n), checks.per_particle("number of particles in a parcel", number, n))
 
 
 def check_box(particles, lower, upper):
@@ -64,7 +87,7 @@ def spheres_near(particles, lower, upper, reach):
     lo, hi = np.full(3, -np.inf), np.full(3, np.inf)
     lo[:len(lower)], hi[:len(upper)] = lower, upper
     x, radius = particles.position.copy(), 0.5 * particles.diameter
-    particles._wrap(x)
+    particles.wrap(x)
     far = (particles.period if particles.period is not None else np.zeros(3)) > 0
     near = np.flatnonzero((((x > lo - (radius + reach)[:, None]) & (x < hi + (radius + reach)[:, None])) | far).all(1))
     parts = particles.comm.allgather((x[near], radius[near], particles.id[near]))
@@ -124,7 +147,7 @@ def random_positions(lower, upper, count, diameter, seed, without_overlap, perio
     boundary = np.zeros((0, 3, 3)) if boundary is None else boundary
     balls = facet_balls(boundary) if len(boundary) else np.zeros((0, 7))
     x, placed = _sequential(lo, hi, radius[order], seed, np.zeros(3) if period is None else period, *there,
-                            (boundary, balls, *(shapes or shapes_of([]))))
+                            Obstacles(boundary, balls, *(shapes or shapes_of([]))))
     if placed < count:
         raise ValueError(f"Only {placed} of {count} particles fit without overlap in the box from {lower.tolist()} to "
                          f"{upper.tolist()}; use a larger box, fewer particles, or insert_on_lattice.")
@@ -136,7 +159,8 @@ def random_positions(lower, upper, count, diameter, seed, without_overlap, perio
 @njit
 def _touches(x, radius, obstacles):
     """Whether a sphere reaches one of the facets, planes and cylinders."""
-    corner, ball, kind, shape, origin = obstacles
+    corner, ball = obstacles.corner, obstacles.ball
+    kind, shape, origin = obstacles.kind, obstacles.shape, obstacles.origin
     for n in range(len(kind)):
         if surface_point(kind[n], shape[n], origin[n], x[0], x[1], x[2])[3] < radius:
             return True

@@ -129,7 +129,7 @@ class MultiphasePIC:
         self._ledger(mass, free, held, dt)
         self.seconds["solids stress"] += time.perf_counter() - tick
         p.locate()
-        p._put_in_order()
+        p.put_in_order()
 
     def _reach(self, dt):
         """Let the halo of cells be as wide as particles may go in the step. Collective."""

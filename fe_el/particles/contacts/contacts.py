@@ -3,30 +3,30 @@ import time
 
 import numpy as np
 
-from fe_el.checks import of_kind, positive_number, require_tags
+from fe_el.checks import of_kind, positive_number
 from fe_el.compiled.direct_calls import Direct
-from fe_el.parallel.exchange import largest_of, raise_everywhere
+from fe_el.parallel.exchange import largest_of
 from fe_el.parallel.messages import largest, ranks_of
 from fe_el.particles import motion
 from fe_el.particles.contacts import contact_lists, velocity_verlet
 from fe_el.particles.contacts.array_law import ArrayLaw, array_forces
 from fe_el.particles.contacts.blocks import new_block
-from fe_el.particles.contacts.contact_laws import HertzMindlin, LinearSpringDashpot
+from fe_el.particles.contacts.contact_checks import ContactChecks
 from fe_el.particles.contacts.law_kernels import constant_rows
 from fe_el.particles.contacts.network import network_of
 from fe_el.particles.contacts.records import Assembly, Drift, Near
 from fe_el.particles.contacts.saved_contacts import SavedContacts
 from fe_el.particles.contacts.step_limit import step_limit
 from fe_el.particles.contacts.sub_steps import all_forces, near_numbers, sub_steps, wall_forces
-from fe_el.particles.contacts.wall_shapes import FACETS, SURFACE, FacetWalls, move_walls, note_forces, push_walls
+from fe_el.particles.contacts.wall_shapes import FacetWalls, move_walls, note_forces, push_walls
 from fe_el.particles.contacts.wall_surfaces import carry_facets
-from fe_el.particles.particles import LostParticle, Particles
+from fe_el.particles.particles import Particles
 
 _kick, _drift_on = Direct(velocity_verlet.kick), Direct(velocity_verlet.drift_on)
 _sub_steps, _all_forces, _near_numbers, _wall_forces = map(Direct, (sub_steps, all_forces, near_numbers, wall_forces))
 
 
-class Contacts(SavedContacts):
+class Contacts(SavedContacts, ContactChecks):
     """Contacts of particles under a contact law, by velocity Verlet sub-steps.
 
     ``law``, ``wall_law``, the list ``walls``, motion and place of each wall, and diameter, density, material and position of
@@ -91,22 +91,6 @@ class Contacts(SavedContacts):
         rolls = max(getattr(law, "rolls", 0) for law in (self.law, self.wall_law))
         return 7 if rolls else 4
 
-    def _check_parts(self):
-        """Whether laws and walls go together."""
-        for law in (self.law, self.wall_law):
-            of_kind("contact law", law, LinearSpringDashpot, HertzMindlin, ArrayLaw)
-        for wall in self.walls:
-            if isinstance(wall, type) or not hasattr(wall, "motion"):
-                raise ValueError(f"{wall!r} is no wall; use FacetWalls, PlaneWall, CylinderWall, SurfaceWall or "
-                                 "(facet_tags, groups).")
-            if wall.kind == SURFACE and self.particles.mesh.topology.dim == 2:
-                raise ValueError("A SurfaceWall is of triangles, the mesh of two dimensions; use planes or facets.")
-            if wall.kind == FACETS:
-                require_tags("facet tags of a wall", wall.facet_tags, self.particles.mesh)
-        if self.walls and isinstance(self.wall_law, ArrayLaw):
-            raise ValueError("An ArrayLaw acts between particles only; give walls a wall_law, for instance HertzMindlin.")
-        self._check_materials()
-
     def _take_up(self):
         """What was changed since the last step: laws, walls, and sizes, masses and places of particles. Collective."""
         p, lists = self.particles, self.lists
@@ -121,15 +105,6 @@ class Contacts(SavedContacts):
         for block, law in ((self.pair_block, self.law), (self.wall_block, self.wall_law)):
             if not isinstance(law, ArrayLaw):
                 constant_rows(block.rows, law.numbers)
-
-    def _check_materials(self):
-        for what, indices, law in (("particle", self.particles.material, self.law), *(
-                ("wall", np.array([w.material]), self.wall_law) for w in self.walls)):
-            count = getattr(law, "materials", None)
-            if count and len(indices) and indices.max() >= count:
-                raise ValueError(f"A {what} has material {indices.max()}, but the law has {count} material(s), numbered "
-                                 f"from 0; "
-                                 "give the law a larger table.")
 
     def network(self):
         """Contacts between particles now, each once over all ranks, by the rank of their first particle.
@@ -260,7 +235,7 @@ class Contacts(SavedContacts):
         """The same in one call, with a built-in law."""
         lists = self.lists
         steps, self.stale, self.touching, behind, self.largest_overlap, *near = _sub_steps(
-            most, h, lists.age, lists.wall_rate, lists.wall_room, self._assembly(drift), lists.ghosts.rows(), lists.tiles,
+            most, h, lists.age, (lists.wall_rate, lists.wall_room), self._assembly(drift), lists.ghosts.rows(), lists.tiles,
             lists.near, self.step, self.largest_overlap)
         self.step, lists.age, lists.near = self.step + steps, lists.age + steps, Near(*near)
         self.behind = behind if behind >= 0 else self.behind
@@ -275,16 +250,6 @@ class Contacts(SavedContacts):
         self._check_behind()
         self._check_finite()
         p.contact_force, p.contact_torque = rows.force[:n, :3].copy(), rows.force[:n, 4:7].copy()
-
-    def _check_finite(self):
-        """Stop before a position or force that is not a number spreads."""
-        p, rows, message = self.particles, self.lists.rows, None
-        i = velocity_verlet.first_not_finite(rows.x[:len(p)], rows.force)
-        if i >= 0:
-            message = (f"The contact force on particle {p.id[i]} near {p.position[i].tolist()} is "
-                       f"{rows.force[i, :3].tolist()} (step {p.step}, rank {p.comm.rank}). Either two particles lie on one "
-                       "point, or the step is too large for the law: insert without overlap, or use more steps_per_contact.")
-        raise_everywhere(p.comm, FloatingPointError, message)
 
     def _assembly(self, drift):
         """All that compiled sub-steps with built-in laws act on and with."""
@@ -320,13 +285,3 @@ class Contacts(SavedContacts):
         note_forces(lists.load, self.wall_impulse)
         self.touching = touching + touching_walls
         self.largest_overlap = max(self.largest_overlap, overlap, walls.deepest[0])
-
-    def _check_behind(self):
-        """Stop if a particle's centre came onto or behind a wall in the last sub-steps."""
-        p, message = self.particles, None
-        if self.behind is not None:
-            i = self.behind
-            message = (f"The centre of particle {p.id[i]} went onto or behind a wall near {p.position[i].tolist()} "
-                       f"(step {p.step}, rank {p.comm.rank}): the overlap reached its radius. Use a stiffer contact "
-                       "law, or a smaller step.")
-        raise_everywhere(p.comm, LostParticle, message)

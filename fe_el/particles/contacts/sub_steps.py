@@ -126,12 +126,12 @@ def wave(number, ahead, h, assembly, ghosts, tiles, near, step, deepest):
 
 
 @njit
-def sub_steps(most, h, age, wall_rate, wall_room, assembly, ghosts, tiles, near, step, deepest):
+def sub_steps(most, h, age, room_of_walls, assembly, ghosts, tiles, near, step, deepest):
     """Sub-steps with built-in laws, at most ``most``, until the lists are out of date; the first kick is half a step.
     Collective.
 
-    ``wall_rate`` is the largest speed of a wall over the room it has before the lists are out of date [1/s], ``wall_room``
-    that room [m].
+    ``room_of_walls`` holds the largest speed of a wall over the room it has before the lists are out of date [1/s], and that
+    room [m].
 
     Returns:
         sub-steps made, whether the lists are out of date, and what :func:`all_forces` returns, of any sub-step for a
@@ -139,7 +139,7 @@ def sub_steps(most, h, age, wall_rate, wall_room, assembly, ghosts, tiles, near,
     """
     assembly, ghosts, tiles = borrowed(assembly), borrowed(ghosts), borrowed(tiles)
     rows, drift, shapes, walls = assembly.rows, assembly.drift, assembly.shapes, assembly.walls
-    loaded = walls.load[:, 4].max() > 0
+    loaded, (wall_rate, wall_room) = walls.load[:, 4].max() > 0, room_of_walls
     owned, made, touching, behind, stale, ahead, part = len(drift.x0), 0, 0, -1, False, 0.0, 0.5
     first, number = np.int64(0), np.int64(1)  # as literals they would be compiled for twice
     while made < most and not stale:

@@ -1,0 +1,146 @@
+"""What a coupling does with the drag of each particle: fields for the fluid, and forces for the particles."""
+import warnings
+
+import numpy as np
+
+from fe_el.coupling import particle_loops as loops
+from fe_el.coupling.fitting import step_beyond_sense
+from fe_el.coupling.fluid_at_particles import given
+from fe_el.coupling.relaxing_slip import over_step
+from fe_el.coupling.schemes import Exchange, Explicit
+from fe_el.parallel.exchange import largest_of, raise_everywhere
+
+
+class DragExchange:
+    """Drag fields and forces of :class:`Coupling`."""
+
+    def _drag_fields(self, dt):
+        """A and B from the drag of each particle over the coming step."""
+        p, d = self.particles, self.dimension
+        cell_velocity, n, velocity = self.cell_velocity, p.cells.owned, p.velocity[:, :d]
+        back, offset = self._old_velocity(cell_velocity), None
+        mean = self._gather(np.hstack([self.solid, back]), "solid_and_velocity")
+        if self.linear is not None:
+            linear = self._work.empty("linear", len(p), d)
+            self.linear.gather(back, linear)
+            offset = linear - mean[:, 1:]
+            mean[:, 1:] = linear
+        if self.own is not None:
+            own = self.own.now(p, d)
+            mean[:, 1:] -= own
+        solid, slip = self._work.empty("solid", len(p)), self._work.empty("slip", len(p))
+        loops.fluid_at_particles(mean, velocity, solid, slip)
+        if self.own is not None:
+            volume = p.cells.volume
+            solid = self.own.around(p, self.mapping.concentration(volume), self._gather(volume[:, None]), solid, slip)
+        beta = self._coefficient(solid, slip, dt)
+        if self.own is not None:
+            ahead = self.own.ahead(dt, p, beta)
+            mean[:, 1:] += own - ahead
+            offset = -ahead if offset is None else offset - ahead
+        inertia, acceleration = self._accelerations()
+        self.exchange = Exchange(dt, self.volume, inertia, velocity, acceleration, beta[:, None], mean[:, 1:], offset,
+                                 self._to_cells, lambda q: self._deposit(q)[:n], cell_velocity,
+                                 self.fixed or (lambda field, filled: field), p.late)
+        a, b = self.scheme.fields(self.exchange) if self.added is None else self._fields_with_added_mass(solid)
+        if self.reacts:
+            b = b + self._reaction()
+        if self.steps_to_check == 0:
+            self._check_step(dt, beta)
+        self.steps_to_check -= 1
+        self._set(1, a)
+        self._set(2, b)
+
+    def _check_step(self, dt, beta):
+        """Warn once of a step far beyond sense; in the first step and then every hundredth."""
+        p, n = self.particles, self.particles.cells.owned
+        in_cells = self._to_cells(self.volume * beta[:, None])[:, 0] / (self.density * (1 - self.solid[:n, 0]))
+        rates = largest_of(self.comm, in_cells.max(initial=0.0), np.where(p.held, 0.0, beta / p.density).max(initial=0.0))
+        message = step_beyond_sense(dt, *rates, type(self.scheme) is Explicit)
+        self.steps_to_check = -1 if message else 100
+        if message and self.comm.rank == 0:
+            warnings.warn(message, RuntimeWarning, stacklevel=4)
+
+    def _fields_with_added_mass(self, solid):
+        """The same, and the share of the pressure gradient that particles hand on to the fluid."""
+        rows, self.late = self.added.fields(self.exchange, self.particles, solid, self.density)
+        out = self._to_cells(np.hstack([rows[:, :2], self.late - rows[:, 2:]]))
+        self._set(3, out[:, 1:2])
+        return out[:, :1], out[:, 2:]
+
+    def _coefficient(self, solid, slip, dt):
+        """Drag coefficient of each particle, checked."""
+        p, beta = self.particles, np.zeros(len(self.particles)) if self.drag is None else self._by_law(solid, slip, dt)
+        for force in self.others.get("drag_coefficient", ()):
+            beta = beta + given(force, "drag_coefficient", self.at_fluid, (len(p),))
+        i, message = loops.first_bad(beta), None
+        if i >= 0:
+            message = (f"The drag law gave {beta[i]:g} for particle {p.id[i]} at solid fraction {solid[i]:g} and slip "
+                       f"{slip[i]:g} m/s (step {p.step}, rank {self.comm.rank}); it must be finite and not negative. Check "
+                       f"the "
+                       "law's range or use larger cells.")
+        raise_everywhere(self.comm, FloatingPointError, message)
+        return beta
+
+    def _by_law(self, solid, slip, dt):
+        """Drag coefficient of each particle by the law of :class:`Drag`, at its slip or over the step."""
+        p, sauter = self.particles, None
+        if self.drag.polydisperse:
+            sizes = np.hstack([self.volume, self.volume / p.primary_diameter[:, None]])
+            sums = self._gather(self._on_cells(self._to_cells(sizes)))
+            sauter = sums[:, 0] / sums[:, 1]
+
+        def at(slip):
+            return self.drag.coefficient(solid, slip, diameter, self.density, self.viscosity, sauter)
+        diameter = p.primary_diameter
+        if not self.drag.relaxing:
+            return at(slip)
+        beta, rate = over_step(at, slip, p.density, dt * (1 - p.late) if len(p.late) else dt)
+        self.of_way = np.where(p.held, 1.0, rate * p.density / beta)
+        return np.where(p.held, at(slip), beta)
+
+    def _accelerations(self):
+        """Densities (particles, 1), infinite if held, and accelerations (particles, d): by gravity, the last mean contact
+        force,
+        and the other forces of the fluid as of the last step."""
+        p, n = self.particles, len(self.particles)
+        inertia, acceleration = self._work.empty("inertia", n, 1), self._work.empty("acceleration", n, self.dimension)
+        loops.accelerations(p.held, self.volume, p.density, p.gravity, self._steady, p.mean_contact_force,
+                            self.explicit_reaction,
+                            self._none if self.added is not None else p.properties.get("_pressure_gradient", self._none),
+                            inertia, acceleration)
+        return inertia, acceleration
+
+    def _forces(self, fluid_velocity, slope):
+        """Set the particles' forces; returns the sum of those by fields of the fluid (d,), and of the masses."""
+        p, drag, gradient, reaction = self.particles, self._none, self._none, self.explicit_reaction
+        if self.drags:
+            drag = self.scheme.force(fluid_velocity)
+            if self.own is not None:
+                self.own.update(p, drag)
+        p.relaxation_rate[:] = self.scheme.relaxation_rate * self.of_way if self.drags else 0.0
+        if self.pressure_force is not None:
+            gradient = p.properties.setdefault("_pressure_gradient", np.empty((len(p), self.dimension)))
+        return loops.total_force(self.volume, p.density, self._steady, drag, reaction, slope, gradient, p.force)
+
+    def _forces_with_added_mass(self, fluid_velocity, slope):
+        """The same with added mass; the fluid has received what contacts did to it in the last step, too."""
+        p, reaction, d = self.particles, self.explicit_reaction, self.dimension
+        given = self.added.force(p, fluid_velocity, slope)
+        if self.own is not None:
+            self.own.update(p, given + self.volume * slope if slope.shape[1] else given)
+        given = given - self.late
+        p.relaxation_rate[:] = self.added.relaxation_rate
+        p.force[p.held, :d] += self.volume[p.held] * self._steady
+        if len(reaction):
+            p.force[p.held, :d] += reaction[p.held]
+        return given.sum(0) + reaction.sum(0), p.inertia.sum()
+
+    def _old_velocity(self, velocity):
+        """The cell velocity made ready for particles; what the last step smoothed serves again if nothing was spilled."""
+        if self._kept is None or self.spill.moves:
+            return self._back(velocity)
+        same = np.array_equal(self._kept[0], velocity) and len(self._kept[1]) == len(self.particles.cells.volume)
+        if self.comm.allreduce(int(same)) < self.comm.size:
+            return self._back(velocity)
+        return np.ascontiguousarray(self._kept[1])

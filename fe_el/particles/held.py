@@ -1,0 +1,32 @@
+"""Particles that are held where they are."""
+from fe_el.checks import truth_values
+
+
+class Held:
+    """Holding and releasing of :class:`Particles`."""
+
+    def hold(self, mask=None):
+        """Hold particles where they are, all or those of a mask (particles of this rank,): ``held`` is true for them.
+
+        Fluid and other particles meet them as bodies that nothing moves; what holds them takes up every force.
+
+        Note:
+            Collective.
+        """
+        self.held[slice(None) if mask is None else truth_values("mask of particles", mask, len(self))] = True
+        for name in ("velocity", "angular_velocity", "mean_contact_force", "relaxation_rate"):
+            getattr(self, name)[self.held] = 0.0
+        self.layout += 1
+
+    def release(self, mask=None):
+        """Let held particles move again from rest, all or those of a mask (particles of this rank,).
+
+        Note:
+            Collective.
+        """
+        self.held[slice(None) if mask is None else truth_values("mask of particles", mask, len(self))] = False
+        self.layout += 1
+
+    def all_held(self):
+        """Whether no particle of any rank can move. Collective."""
+        return not self.comm.allreduce(int(not self.held.all()))
