@@ -26,6 +26,7 @@ from demos import (
 )
 from demos.benchmarks import (
     contact_speed,
+    coupled_map,
     error_against_run_time,
     fluid_error,
     fluid_speed,
@@ -502,3 +503,10 @@ def test_leaving_out(folder):
     assert rows["everything"]["smoothing"] and not rows["no smoothing"]["smoothing"]
     assert not rows["dry"]["fluid"] and not rows["dry"]["drag"] and not rows["gas alone"]["contacts"]
     assert not rows["fixed bed"]["neighbours"] and not rows["frozen flow"]["fluid"]
+
+
+def test_coupled_map(folder):
+    """Without particles, with all in one cell, at any step: the energy never grows and the ledger closes."""
+    numbers = coupled_map.main(("places", "dt_star"), 5, folder, progress=False)
+    assert numbers["cases"] == numbers["stable"] == numbers["ledger_exact"] == 13
+    assert numbers["lost"] == 0 and numbers["stopped"] == 0 and numbers["warned"] > 0

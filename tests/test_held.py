@@ -58,7 +58,7 @@ def test_a_bed_that_is_held_costs_no_motion(monkeypatch):
     calls = []
     prepare, locate = type(coupling.mapping).prepare, fe_el.Particles.locate
     monkeypatch.setattr(type(coupling.mapping), "prepare", lambda *a: calls.append("prepare") or prepare(*a))
-    monkeypatch.setattr(fe_el.Particles, "locate", lambda p: calls.append("locate") or locate(p))
+    monkeypatch.setattr(fe_el.Particles, "locate", lambda p, **k: calls.append("locate") or locate(p, **k))
     beads.hold()
     run(fluid, beads, coupling, 1e-4, 3)
     run(fluid, beads, coupling, 1e-4, 2, contacts)

@@ -193,7 +193,7 @@ def test_bad_choices_are_refused():
     either = "steps= or courant="
     for words, kwargs in ((either, {}), (either, {"steps": 2, "courant": 1.0}), ("whole number", {"steps": 0}),
                           ("whole number", {"steps": 1.5}), ("greater than zero", {"courant": 0.0}),
-                          ("greater than zero", {"courant": 1.0, "most": 0})):
+                          ("1 or more", {"courant": 1.0, "most": 0})):
         with pytest.raises(ValueError, match=words):
             fe_el.SubCycled(air, **kwargs)
     with pytest.raises(ValueError, match="start.*middle"):

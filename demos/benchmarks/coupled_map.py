@@ -1,9 +1,9 @@
 """Fluid and particles together, far outside the ordinary range: energy and ledger, one quantity varied at a time.
 
 A periodic box without gravity: a vortex in the fluid, particles that move through it at random with drag, the pressure
-gradient and, where they are light, added mass; from a solid fraction of 0.3 on with contacts. Nothing drives the flow, so the
-kinetic energy of both may never exceed that of the start; total momentum, solid volume and the number of particles stay. Two
-scenes with walls are driven: gas that sets in at 100 m/s under a packed column, and a packed column that is let go.
+gradient and, where they are light, added mass; from a solid fraction of 0.3 on with contacts. Nothing drives the flow, so
+the kinetic energy of both may never exceed that of the start; total momentum, solid volume and the number of particles stay.
+Two scenes with walls are driven: gas that sets in at 100 m/s under a packed column, and a packed column that is let go.
 """
 import argparse
 import csv
@@ -132,7 +132,7 @@ class Column(Box):
 def run(axis, value, steps):
     """One row of the map."""
     tick, reason, driven = time.perf_counter(), "", axis == "walls"
-    messages, worst, energy = [], np.zeros(2), []
+    worst, energy, lost = np.zeros(2), [], 0
     with warnings.catch_warnings(record=True) as messages:
         warnings.simplefilter("always", RuntimeWarning)
         try:
@@ -144,7 +144,7 @@ def run(axis, value, steps):
                 worst = np.maximum(worst, scene.imbalance())
             lost = scene.count - scene.beads.total_number
         except (ValueError, ArithmeticError, RuntimeError) as error:
-            reason, lost = f"{type(error).__name__}: {str(error)[:90]}", 0
+            reason = f"{type(error).__name__}: {str(error)[:90]}"
     e = np.array(energy) / (energy[0] if energy and energy[0] > 0 else 1.0)
     light = axis == "density_ratio" and value < 1.4  # what is accelerated with them has energy, too
     stable = not reason and bool(np.isfinite(e).all()) and (driven or e.max() < (2.0 if light else 1 + 1e-6))
@@ -173,7 +173,8 @@ def main(axes=(*AXES, "walls"), steps=40, output="out/coupled_map", progress=Tru
                   f"solid {r['solid_volume_error']:.1e}, {'stable' if r['stable'] else 'NOT STABLE'} {r['seconds']:.1f} s "
                   f"{r['reason'] or r['warning']}")
     return fe_el.write_summary(output, cases=len(rows), stable=sum(r["stable"] for r in rows),
-                               lost=sum(r["lost"] for r in rows), ledger_exact=sum(r["ledger"] for r in rows), wall_time=time.perf_counter() - begin,
+                               lost=sum(r["lost"] for r in rows), ledger_exact=sum(r["ledger"] for r in rows),
+                               wall_time=time.perf_counter() - begin,
                                warned=sum(bool(r["warning"]) for r in rows), stopped=sum(bool(r["reason"]) for r in rows))
 
 

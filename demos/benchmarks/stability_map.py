@@ -31,6 +31,7 @@ def arguments():
     p.add_argument("--axes", nargs="+", choices=list(AXES), default=list(AXES), help="what is varied")
     p.add_argument("--steps", type=int, default=300, help="of every case")
     p.add_argument("--cells", type=int, default=16, help="crossed squares across the box")
+    p.add_argument("--coupled", action="store_true", help="fluid and particles together, forty steps of every case")
     p.add_argument("--output", default="out/stability_map", help="folder for results")
     return p
 
@@ -136,7 +137,12 @@ def picture(output, rows):
 
 
 if __name__ == "__main__":
-    summary = main(**vars(arguments().parse_args()))
+    options = vars(arguments().parse_args())
+    if options.pop("coupled"):
+        from demos.benchmarks import coupled_map
+        summary = coupled_map.main(output=options["output"])
+    else:
+        summary = main(**options)
     if MPI.COMM_WORLD.rank == 0:
         for key, value in summary.items():
             print(f"{key:48s} {value}")
