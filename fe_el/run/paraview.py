@@ -18,6 +18,11 @@ WRITTEN = ("velocity", "angular_velocity", "diameter", "density", "material", "i
            "contact_force")  # of the particles, beside the user's properties
 
 
+def _write_piece(file, piece):
+    """Write a .vtu file; a piece without points, which meshio could not read back compressed, as it is."""
+    meshio.write(file, piece, "vtu", compression="zlib" if len(piece.points) else None)
+
+
 class ParaViewOutput:
     """Writes particles, cell fields and contacts as compressed .vtu pieces, one per rank, with .pvd collections (ParaView).
 
@@ -169,7 +174,7 @@ class ParaViewOutput:
             self.written[name] = self._frames(name, time)
         number = 1 + max((int(files[0].split("_")[-2]) for _, files in self.written[name]), default=-1)
         files = [f"{name}_{number:05d}_{r}.vtu" for r in range(self.comm.size)]
-        self._or_all_fail(patience, meshio.write, self.folder / files[self.comm.rank], piece, "vtu")
+        self._or_all_fail(patience, _write_piece, self.folder / files[self.comm.rank], piece)
         self.written[name].append((time, files))
         self._or_all_fail(patience, self._collect, name)  # names pieces that are whole, those of other ranks too
 
