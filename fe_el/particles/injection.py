@@ -1,11 +1,17 @@
 """Particles and parcels that come in at a rate, each at its time within the step."""
 import json
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fe_el.checks import finite_vector, numbers, of_kind, positive_number, require_positive
 from fe_el.particles.size_distribution import SizeDistribution
 from fe_el.particles.sources import DiscSource, FacetSource, PointSource
+
+if TYPE_CHECKING:
+    from fe_el.particles.particles import Particles
 
 PARTS = 8  # of a step, in each of which a rate counts as constant
 BLOCK = 256  # sizes drawn at once: what comes in does not depend on the step
@@ -44,8 +50,12 @@ class Injector:
         Collective. The same comes in on any number of ranks, and after a checkpoint.
     """
 
-    def __init__(self, particles, source, velocity, diameter, mass_rate=None, number_rate=None, loading=None, fluid=None,
-                 seed=0, **kind):
+    def __init__(self, particles: "Particles", source: FacetSource | DiscSource | PointSource,
+                 velocity: ArrayLike | Callable[[float, np.ndarray], ArrayLike], diameter: ArrayLike | SizeDistribution,
+                 mass_rate: float | Callable[[float], float] | None = None,
+                 number_rate: float | Callable[[float], float] | None = None,
+                 loading: float | Callable[[float], float] | None = None, fluid: tuple[float, Any] | None = None,
+                 seed: int = 0, **kind: Any) -> None:
         from fe_el.particles.particles import Particles  # which imports the sources
         self.particles = of_kind("particles", particles, Particles)
         self.source = of_kind("source", source, FacetSource, DiscSource, PointSource)
@@ -115,7 +125,7 @@ class Injector:
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
-    def advance(self, dt):
+    def advance(self, dt: float) -> int:
         """Let in what comes during the step of ``dt`` [s] that follows; returns the number of new parcels.
 
         Raises:
@@ -194,12 +204,12 @@ class Injector:
 
     # -- state ---------------------------------------------------------------------------------------------------------
 
-    def saved(self):
+    def saved(self) -> dict[str, tuple]:
         """Counters, what waits, and the state of the random numbers, for a checkpoint."""
         counters = {name: getattr(self, name) for name in ("time", "waiting", "parcels", "number", "mass", "ahead")}
         return {"same": (None, {**counters, "generators": json.dumps([g.bit_generator.state for g in self.generators])})}
 
-    def restore(self, state):
+    def restore(self, state: dict[str, dict]) -> None:
         """Take them back."""
         same = state["same"]
         for name in ("time", "waiting", "number", "mass"):

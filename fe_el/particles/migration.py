@@ -20,7 +20,7 @@ class LostParticle(RuntimeError):
 class Migration:
     """What :class:`Particles` do to find their cells and to change rank."""
 
-    def reach_halo(self, width):
+    def reach_halo(self, width: float) -> None:
         """Make the halo of cells at least ``width`` wide [m]."""
         if width > self.halo_width:
             alone, self.halo_width = self.comm.size == 1 and self.halo_width >= 0, width
@@ -32,19 +32,19 @@ class Migration:
             self._cell_owner = (self.halo.forward(np.full(number, self.comm.rank, np.int32)),
                                 self.halo.forward(np.arange(number, dtype=np.int32)))
 
-    def arrays(self):
+    def arrays(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Names and arrays of everything that travels with a particle."""
         own = {name: getattr(self, name) for name in (*FIELDS, *INTEGERS)}
         return own, self.properties
 
-    def select(self, rows):
+    def select(self, rows: np.ndarray) -> None:
         """Keep the given rows, in that order."""
         for name in (*FIELDS, *INTEGERS):
             setattr(self, name, np.ascontiguousarray(getattr(self, name)[rows]))
         self.properties = {name: a[rows] for name, a in self.properties.items()}
         self.layout += 1
 
-    def put_in_order(self):
+    def put_in_order(self) -> None:
         """Sort many particles by their cells where those that follow each other in memory are no longer near in space."""
         if len(self) < location.MANY:
             return
@@ -54,7 +54,7 @@ class Migration:
         if len(order):
             self.select(order)
 
-    def locate(self, in_order=True):
+    def locate(self, in_order: bool = True) -> np.ndarray | None:
         """Find the cell of every particle and move particles to the ranks of their cells.
 
         Args:
@@ -136,13 +136,13 @@ class Migration:
         self.layout += 1
         return destination
 
-    def wrap(self, position):
+    def wrap(self, position: np.ndarray) -> None:
         """Bring positions into the periodic box, in place, so that the walk to a far cell is short."""
         if self.period is not None:
             for k in np.flatnonzero(self.period):
                 position[:, k] -= np.floor(position[:, k] / self.period[k]) * self.period[k]
 
-    def located(self, ahead=0.0):
+    def located(self, ahead: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Cell and position (wrapped into a periodic box) of every particle now, without changing the particles.
 
         A particle that is on its way out of the mesh keeps its last cell, until the next :meth:`locate` removes it or says

@@ -1,5 +1,7 @@
 """Multiphase particle-in-cell: the stress of crowded particles on a mesh in place of their contacts."""
 import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +16,9 @@ from fe_el.particles.particles import Particles
 from fe_el.particles.reflection import Rebound, reflect_at_facets, reflect_at_planes
 from fe_el.particles.solids_stress import SolidsStress
 from fe_el.particles.wall_facets import facets_at_nodes, walls_of_facets
+
+if TYPE_CHECKING:
+    from fe_el.particles.contacts.wall_shapes import _Wall
 
 NONE_LATE = np.zeros(0)  # Particles puts back those who came in during the step
 
@@ -56,8 +61,9 @@ class MultiphasePIC:
 
     steps_last, largest_overlap = 1, 0.0  # as of Contacts
 
-    def __init__(self, particles, stress=None, walls=None, restitution=0.9, wall_restitution=0.9, tangential_restitution=1.0,
-                 tolerance=1e-4, iterations=200):
+    def __init__(self, particles: "Particles", stress: SolidsStress | None = None,
+                 walls: "_Wall | Sequence[Any] | None" = None, restitution: float = 0.9, wall_restitution: float = 0.9,
+                 tangential_restitution: float = 1.0, tolerance: float = 1e-4, iterations: int = 200) -> None:
         of_kind("particles", particles, Particles)
         self.particles, self.mesh, self.comm = particles, particles.mesh, particles.comm
         self.stress = of_kind("stress", SolidsStress() if stress is None else stress, SolidsStress)
@@ -107,7 +113,7 @@ class MultiphasePIC:
 
     # -- one step ------------------------------------------------------------------------------------------------------
 
-    def advance(self, dt):
+    def advance(self, dt: float) -> None:
         """Advance the particles by ``dt`` [s]."""
         p, tick = self.particles, time.perf_counter()
         if not p.total_number or p.all_held():
@@ -235,7 +241,7 @@ class MultiphasePIC:
 
     # -- checkpoints -----------------------------------------------------------------------------------------------------
 
-    def saved(self):
+    def saved(self) -> dict[str, tuple]:
         """The pressures at the nodes that the next step starts from, for a checkpoint."""
         own, space = self.space.owned_nodes, self.space
         place = np.zeros((space.nodes, 3))
@@ -243,7 +249,7 @@ class MultiphasePIC:
         space.node_halo.forward(place)
         return {"nodes": (place[:own], {"pressure": self.pressure[:own]})}
 
-    def restore(self, state):
+    def restore(self, state: dict[str, dict]) -> None:
         """Take them back."""
         self.pressure[:self.space.owned_nodes] = state["nodes"]["pressure"]
         self.space.node_halo.forward(self.pressure)

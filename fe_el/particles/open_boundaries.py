@@ -1,8 +1,11 @@
 """Boundaries that particles may leave through, rebound from, or come in through at a mass rate."""
 import json
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mpi4py import MPI
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from fe_el.checks import (
@@ -18,6 +21,9 @@ from fe_el.compiled.cache import njit
 from fe_el.mesh import cell_mesh as _mesh
 from fe_el.particles.contacts.walls import facet_balls, facet_frames, nearest_point
 from fe_el.particles.sources import inward_facets
+
+if TYPE_CHECKING:
+    from fe_el.particles.particles import Particles
 
 NEAR = 24  # facets with the nearest middles, among which is the one that a particle went through
 
@@ -164,7 +170,9 @@ class Inlet:
         Collective.
     """
 
-    def __init__(self, particles, facet_tags, group, mass_rate, diameter, velocity, density=None, seed=0, tries=100, **kind):
+    def __init__(self, particles: "Particles", facet_tags: Any, group: int | str, mass_rate: float,
+                 diameter: ArrayLike | Callable[[np.random.Generator, int], ArrayLike], velocity: ArrayLike,
+                 density: float | None = None, seed: int = 0, tries: int = 100, **kind: Any) -> None:
         from fe_el.particles.particles import Particles  # which imports this module
         of_kind("particles", particles, Particles)
         require_tags("facet tags of an inlet", facet_tags, particles.mesh)
@@ -196,7 +204,7 @@ class Inlet:
         choices = np.ravel(self.diameter)
         return float(choices[self.generator.integers(len(choices))])
 
-    def advance(self, dt):
+    def advance(self, dt: float) -> int:
         """Let in the mass of ``dt`` [s]; returns the number of new particles."""
         self.waiting += self.mass_rate * positive_number("time step", dt)
         near, radii = self._particles_near()
@@ -251,13 +259,13 @@ class Inlet:
                                & (np.abs((gap * self.balls[:, 4:]).sum(1)) < radius))
         return any(np.sum((np.array(nearest_point(self.others[f], *x)[:3]) - x) ** 2) < radius ** 2 for f in close)
 
-    def saved(self):
+    def saved(self) -> dict[str, tuple]:
         """What waits, and the state of the random numbers."""
         return {"same": (None, {"inserted": self.inserted, "waiting": self.waiting,
                                 "next": np.nan if self.next is None else self.next,
                                 "generator": json.dumps(self.generator.bit_generator.state)})}
 
-    def restore(self, state):
+    def restore(self, state: dict[str, dict]) -> None:
         """Take them back."""
         same = state["same"]
         self.inserted, self.waiting = int(same["inserted"]), float(same["waiting"])

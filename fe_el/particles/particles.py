@@ -1,5 +1,9 @@
 """The particles: a structure of arrays on the cells of a mesh, each particle owned by the rank of its cell."""
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fe_el.checks import finite_vector, numbers, positive_number, require_mesh, require_positive, require_tags
 from fe_el.parallel.exchange import raise_everywhere
@@ -9,6 +13,10 @@ from fe_el.particles.held import Held
 from fe_el.particles.migration import FIELDS, Migration
 from fe_el.particles.open_boundaries import OpenBoundaries, Rebounds
 from fe_el.particles.saved_particles import SavedParticles
+
+if TYPE_CHECKING:
+    from fe_el.particles.contacts.contacts import Contacts
+    from fe_el.particles.multiphase_pic import MultiphasePIC
 
 
 class Particles(SavedParticles, Migration, Held):
@@ -35,7 +43,7 @@ class Particles(SavedParticles, Migration, Held):
         Collective.
     """
 
-    def __init__(self, mesh, density, gravity=(0.0, 0.0, 0.0), thickness=1.0):
+    def __init__(self, mesh: Any, density: float, gravity: ArrayLike = (0.0, 0.0, 0.0), thickness: float = 1.0) -> None:
         require_mesh(mesh)
         density, thickness = positive_number("density", density), positive_number("thickness", thickness)
         end_all_ranks_on_errors(mesh.comm)
@@ -56,48 +64,49 @@ class Particles(SavedParticles, Migration, Held):
         return len(self.id)
 
     @property
-    def total_number(self):
+    def total_number(self) -> int:
         """Number of particles on all ranks."""
         return self.comm.allreduce(len(self))
 
     @property
-    def volume(self):
+    def volume(self) -> np.ndarray:
         """(particles,) volume [m^3]."""
         return np.pi / 6 * (self.diameter * self.diameter * self.diameter)  # a power costs five times as much
 
     @property
-    def coarse_graining(self):
+    def coarse_graining(self) -> np.ndarray:
         """(particles,) diameter of each parcel over that of its particles: the cube root of ``number``."""
         return self.diameter / self.primary_diameter
 
     @property
-    def primary_diameter(self):
+    def primary_diameter(self) -> np.ndarray:
         """(particles,) diameter of the particles that each parcel stands for [m]; of a single particle its own."""
         return motion.primary_diameters(self.diameter, self.number)
 
     @property
-    def mass(self):
+    def mass(self) -> np.ndarray:
         """(particles,) mass [kg]."""
         return self.density * self.volume
 
     @property
-    def inertia(self):
+    def inertia(self) -> np.ndarray:
         """(particles,) mass with the added mass, if there is one [kg]."""
         return self.mass + self.properties["added_mass"] if "added_mass" in self.properties else self.mass
 
     @property
-    def late(self):
+    def late(self) -> np.ndarray:
         """(particles,) share of the coming step after which each particle comes in; without rows: all are here already."""
         return self.properties.get("_late", np.zeros(0))
 
-    def speed(self):
+    def speed(self) -> float:
         """Largest speed of a particle on this rank [m/s]. Not collective."""
         return float(np.sqrt((self.velocity ** 2).sum(1).max(initial=0.0)))
 
     # -- insertion -------------------------------------------------------------------------------------------------
 
-    def insert_at(self, position, diameter, density=None, velocity=0.0, material=0, coarse_graining=1.0, displacement=0.0,
-                  seed=0, number=None):
+    def insert_at(self, position: ArrayLike, diameter: ArrayLike, density: ArrayLike | None = None,
+                  velocity: ArrayLike = 0.0, material: ArrayLike = 0, coarse_graining: ArrayLike = 1.0,
+                  displacement: float = 0.0, seed: int = 0, number: ArrayLike | None = None) -> None:
         """Insert particles at positions (particles, 2 or 3) [m], given alike on every rank.
 
         Each is displaced at random by at most ``displacement`` [m] along each axis: equal beads on a lattice would fall as
@@ -134,8 +143,9 @@ class Particles(SavedParticles, Migration, Held):
         self.next_id += len(x)
         self.layout += 1
 
-    def insert_in_box(self, lower, upper, count, diameter, density=None, velocity=0.0, seed=0, without_overlap=False,
-                      walls=(), **kind):
+    def insert_in_box(self, lower: ArrayLike, upper: ArrayLike, count: int, diameter: ArrayLike,
+                      density: ArrayLike | None = None, velocity: ArrayLike = 0.0, seed: int = 0,
+                      without_overlap: bool = False, walls: Sequence[Any] = (), **kind: Any) -> None:
         """Insert ``count`` particles at random in a box; ``diameter`` is a number or one per particle [m].
 
         ``without_overlap``: they overlap neither each other nor particles that are there already, and lie wholly inside the
@@ -160,7 +170,8 @@ class Particles(SavedParticles, Migration, Held):
                                        insertion.shapes_of(walls))
         self.insert_at(x, diameter, density, velocity, **kind)
 
-    def insert_on_lattice(self, lower, upper, diameter, density=None, velocity=0.0, seed=0, **kind):
+    def insert_on_lattice(self, lower: ArrayLike, upper: ArrayLike, diameter: ArrayLike, density: ArrayLike | None = None,
+                          velocity: ArrayLike = 0.0, seed: int = 0, **kind: Any) -> None:
         """Fill a box from below with particles of the given diameters (particles,), shuffled, that do not touch.
 
         Raises:
@@ -174,7 +185,7 @@ class Particles(SavedParticles, Migration, Held):
         diameter = np.random.default_rng(seed).permutation(np.atleast_1d(np.asarray(diameter, float)))
         self.insert_at(insertion.lattice_positions(lower, upper, diameter, seed), diameter, density, velocity, **kind)
 
-    def remove_at(self, facet_tags, groups):
+    def remove_at(self, facet_tags: Any, groups: int | str | Sequence[int | str]) -> None:
         """Let particles leave through boundary groups: they are removed, and counted in ``left`` and ``left_mass`` [kg].
 
         Raises:
@@ -186,7 +197,7 @@ class Particles(SavedParticles, Migration, Held):
         require_tags("facet tags of an outlet", facet_tags, self.mesh)
         self._open = OpenBoundaries(self.mesh, facet_tags, groups)
 
-    def rebound_at(self, facet_tags, groups, restitution=1.0):
+    def rebound_at(self, facet_tags: Any, groups: int | str | Sequence[int | str], restitution: float = 1.0) -> None:
         """Let particles rebound where their centres meet boundary groups, without contacts: for dilute flow.
 
         The normal velocity is turned around and multiplied by ``restitution``; there is no friction.
@@ -213,7 +224,7 @@ class Particles(SavedParticles, Migration, Held):
 
     # -- motion ----------------------------------------------------------------------------------------------------
 
-    def advance(self, dt, contacts=None):
+    def advance(self, dt: float, contacts: "Contacts | MultiphasePIC | None" = None) -> None:
         """Advance by ``dt`` [s] under gravity, ``force`` and, if given, contacts in sub-steps; held particles stay.
 
         Raises:
@@ -277,11 +288,11 @@ class Particles(SavedParticles, Migration, Held):
                            f"{' and greater than zero' if a.ndim == 1 else ''}.")
         raise_everywhere(self.comm, ValueError, message)
 
-    def momentum(self):
+    def momentum(self) -> np.ndarray:
         """Total momentum of all particles (3,) [kg m/s]."""
         return self.comm.allreduce((self.mass[:, None] * self.velocity).sum(0))
 
-    def kinetic_energy(self):
+    def kinetic_energy(self) -> float:
         """Kinetic energy of all particles, translation and rotation [J]."""
         inertia = 0.1 * self.mass * self.diameter ** 2
         return self.comm.allreduce(0.5 * float((self.mass * (self.velocity ** 2).sum(1)).sum()

@@ -7,14 +7,14 @@ from fe_el.mesh.places import nearest
 class SavedParticles:
     """What :class:`Particles` keep of themselves and take back."""
 
-    def saved(self):
+    def saved(self) -> dict[str, tuple]:
         """All arrays of the particles, and the counters."""
         own, user = self.arrays()
         rows = {**own, **{"property:" + k: a for k, a in user.items()}, "centre": self.cells.corner[self.cell].mean(1)}
         return {"particles": (None, rows), "same": (None, {"next_id": self.next_id, "step": self.step, "left": self.left,
                                                            "left_mass": self.left_mass, "halo_width": self.halo_width})}
 
-    def restore(self, state):
+    def restore(self, state: dict[str, dict]) -> None:
         """Each rank takes the particles whose cells it owns."""
         rows, same = state["particles"], state["same"]
         self.reach_halo(max(3.0 * rows["diameter"].max(initial=0.0), float(same["halo_width"])))

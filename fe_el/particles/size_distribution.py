@@ -1,7 +1,9 @@
 """Distributions of particle diameters, for inlets and injectors."""
 import math
+from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fe_el.checks import numbers, positive_number, require_not_negative, require_positive
 
@@ -26,7 +28,7 @@ class SizeDistribution:
         ValueError: for bounds that are not positive or in the wrong order, shares that are negative or all zero.
     """
 
-    def __init__(self, lower, upper, shares, by="number"):
+    def __init__(self, lower: ArrayLike, upper: ArrayLike, shares: ArrayLike, by: str = "number") -> None:
         require_positive("diameter", lower)
         require_positive("diameter", upper)
         require_not_negative("shares of the sizes", shares)
@@ -44,13 +46,13 @@ class SizeDistribution:
         self.smallest, self.largest = self.lower[shares > 0].min(), self.upper[shares > 0].max()
 
     @classmethod
-    def listed(cls, diameters, shares=None, by="number"):
+    def listed(cls, diameters: ArrayLike, shares: ArrayLike | None = None, by: str = "number") -> "SizeDistribution":
         """Single sizes (sizes,) [m] with shares of the number or the mass of all; absent: equal shares."""
         diameters = np.atleast_1d(numbers("diameters", diameters))
         return cls(diameters, diameters, np.ones(len(diameters)) if shares is None else numbers("shares", shares), by)
 
     @classmethod
-    def sieves(cls, openings, passing):
+    def sieves(cls, openings: ArrayLike, passing: ArrayLike) -> "SizeDistribution":
         """A sieve table: the share of the mass ``passing`` (sieves,) through the ``openings`` (sieves,) [m], both
         rising; below the first opening there is nothing, above the last one neither.
 
@@ -66,7 +68,8 @@ class SizeDistribution:
         return cls._of_curve(edges, np.interp(edges, openings, passing), "mass")
 
     @classmethod
-    def normal(cls, mean, deviation, smallest=None, largest=None):
+    def normal(cls, mean: float, deviation: float, smallest: float | None = None,
+               largest: float | None = None) -> "SizeDistribution":
         """Normal by number, with mean and standard deviation [m] before it is cut at ``smallest`` and ``largest`` [m];
         absent: at three deviations, but not below a hundredth of the mean."""
         mean, deviation = positive_number("mean diameter", mean), positive_number("deviation of the diameter", deviation)
@@ -74,7 +77,8 @@ class SizeDistribution:
         return cls._of_curve(edges, _normal((edges - mean) / deviation), "number")
 
     @classmethod
-    def lognormal(cls, median, spread, smallest=None, largest=None, by="number"):
+    def lognormal(cls, median: float, spread: float, smallest: float | None = None, largest: float | None = None,
+                  by: str = "number") -> "SizeDistribution":
         """Lognormal by number or mass, with median [m] and geometric standard deviation ``spread``, above 1; cut as
         :meth:`normal`, absent: at spread^4 from the median."""
         median, spread = positive_number("median diameter", median), positive_number("spread of the diameter", spread)
@@ -84,7 +88,8 @@ class SizeDistribution:
         return cls._of_curve(edges, _normal(np.log(edges / median) / math.log(spread)), by)
 
     @classmethod
-    def rosin_rammler(cls, size, exponent, smallest=None, largest=None):
+    def rosin_rammler(cls, size: float, exponent: float, smallest: float | None = None,
+                      largest: float | None = None) -> "SizeDistribution":
         """Share 1 - exp(-(d / size)^exponent) of the mass finer than d (Rosin & Rammler 1933), ``size`` in m; cut as
         :meth:`normal`, absent: where 0.1 % of the mass are finer or coarser."""
         size, exponent = positive_number("size", size), positive_number("exponent", exponent)
@@ -96,11 +101,12 @@ class SizeDistribution:
     def _of_curve(cls, edges, finer, by):
         return cls(edges[:-1], edges[1:], np.diff(finer), by)
 
-    def mean_cube(self):
+    def mean_cube(self) -> float:
         """Mean of the cube of the diameter by number [m^3]: times pi/6 and the density the mean mass of a particle."""
         return float(self.by_number @ ((self.lower + self.upper) * (self.lower ** 2 + self.upper ** 2) / 4))
 
-    def draw(self, generator, count, number=None):
+    def draw(self, generator: np.random.Generator, count: int,
+             number: Callable[[np.ndarray], ArrayLike] | None = None) -> np.ndarray:
         """Diameters (count,) of parcels that stand for ``number(diameters)`` particles each, such that the particles are
         distributed as said; absent: of single particles."""
         weight = self.by_number
@@ -111,7 +117,7 @@ class SizeDistribution:
         k = np.minimum(np.searchsorted(below, random[:, 0] * below[-1], side="right"), len(below) - 1)
         return self.lower[k] + random[:, 1] * (self.upper[k] - self.lower[k])
 
-    def __call__(self, generator, count):
+    def __call__(self, generator: np.random.Generator, count: int) -> np.ndarray:
         return self.draw(generator, count)
 
 

@@ -1,5 +1,6 @@
 """The stress of crowded particles, as a function of their solid fraction."""
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fe_el.checks import positive_number
 from fe_el.compiled.cache import njit
@@ -54,7 +55,8 @@ class SolidsStress:
         ValueError: for numbers out of range.
     """
 
-    def __init__(self, strength=10.0, exponent=3.0, close_packing=0.63, epsilon=1e-7):
+    def __init__(self, strength: float = 10.0, exponent: float = 3.0, close_packing: float = 0.63,
+                 epsilon: float = 1e-7) -> None:
         self.strength = positive_number("strength of the solids stress", strength)
         self.exponent = positive_number("exponent of the solids stress", exponent)
         self.close_packing = positive_number("close packing", close_packing)
@@ -66,11 +68,11 @@ class SolidsStress:
             raise ValueError(f"The close packing is {close_packing}; it must be below 1.")
 
     @property
-    def numbers(self):
+    def numbers(self) -> tuple[float, float, float, float]:
         """Strength, exponent, close packing and epsilon."""
         return self.strength, self.exponent, self.close_packing, self.epsilon
 
-    def __call__(self, solid_fraction):
+    def __call__(self, solid_fraction: ArrayLike) -> float | np.ndarray:
         """tau [Pa] at solid fractions from 0 to below 1, of any shape."""
         s = np.asarray(solid_fraction, float)
         return self.strength * s ** self.exponent / np.maximum(self.close_packing - s, self.epsilon * (1 - s))

@@ -1,8 +1,14 @@
 """Where an injector's particles come in: through boundary facets, a disc, or points."""
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fe_el.checks import finite_vector, points, positive_number, require_tags
 from fe_el.mesh import cell_mesh as _mesh
+
+if TYPE_CHECKING:
+    from fe_el.particles.particles import Particles
 
 INSIDE = 1e-9  # how far inside the boundary places lie, over the extent of the source
 
@@ -36,10 +42,10 @@ class FacetSource:
         ValueError: for a group without facets, when an injector takes it.
     """
 
-    def __init__(self, facet_tags, group):
+    def __init__(self, facet_tags: Any, group: int | str) -> None:
         self.facet_tags, self.group = facet_tags, group
 
-    def prepare(self, particles):
+    def prepare(self, particles: "Particles") -> None:
         """Take up the geometry. Collective."""
         require_tags("facet tags of an injector", self.facet_tags, particles.mesh)
         self.corner, area, self.normal = inward_facets(particles, self.facet_tags, self.group)
@@ -47,14 +53,14 @@ class FacetSource:
         self.area = area / 2 if d == 3 else area * particles.thickness
         self.depth = INSIDE * np.ptp(self.corner, (0, 1)).max()
 
-    def quadrature(self):
+    def quadrature(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Places (n, 3), normals (n, 3) and areas (n,) over which a velocity is integrated."""
         d = self.corner.shape[1]
         pull = 1 / 3 ** 0.5 if d == 2 else 0.5  # how far the points lie from the centre towards the vertices
         at = self.corner.mean(1)[:, None] * (1 - pull) + pull * self.corner
         return at.reshape(-1, 3), np.repeat(self.normal, d, 0), np.repeat(self.area / d, d)
 
-    def places(self, generator, count, first):
+    def places(self, generator: np.random.Generator, count: int, first: int) -> tuple[np.ndarray, np.ndarray]:
         """Random places (count, 3), uniform over the area, and the normals (count, 3) there."""
         d, share = self.corner.shape[1], np.cumsum(self.area)
         random = generator.random((count, d))
@@ -81,14 +87,14 @@ class DiscSource:
 
     RINGS, ANGLES = 16, 16  # of the quadrature
 
-    def __init__(self, centre, normal, diameter):
+    def __init__(self, centre: ArrayLike, normal: ArrayLike, diameter: float) -> None:
         self.centre, self.diameter = finite_vector("centre of the disc", centre), positive_number("diameter", diameter)
         normal = finite_vector("normal of the disc", normal)
         if not normal.any():
             raise ValueError("The normal of the disc is zero; give the direction in which particles come in.")
         self.normal = normal / np.linalg.norm(normal)
 
-    def prepare(self, particles):
+    def prepare(self, particles: "Particles") -> None:
         """Take up the dimension and the thickness of the mesh."""
         self.flat = particles.mesh.topology.dim == 2
         n, radius = self.normal, 0.5 * self.diameter
@@ -96,7 +102,7 @@ class DiscSource:
         first = np.array([-n[1], n[0], 0.0]) if self.flat else np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
         self.axes = radius * np.array([first / np.linalg.norm(first), np.cross(n, first / np.linalg.norm(first))])
 
-    def quadrature(self):
+    def quadrature(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Places (n, 3), normals (n, 3) and areas (n,) over which a velocity is integrated."""
         if self.flat:
             count = self.RINGS * self.ANGLES
@@ -107,7 +113,7 @@ class DiscSource:
             x = self._at((r * np.cos(angle)).ravel(), (r * np.sin(angle)).ravel())
         return x, np.tile(self.normal, (len(x), 1)), np.full(len(x), self.area / len(x))
 
-    def places(self, generator, count, first):
+    def places(self, generator: np.random.Generator, count: int, first: int) -> tuple[np.ndarray, np.ndarray]:
         """Random places (count, 3), uniform over the area, and the normals (count, 3) there."""
         random = generator.random((count, 2))
         if self.flat:
@@ -130,12 +136,12 @@ class PointSource:
         position: (points, 2 or 3) [m].
     """
 
-    def __init__(self, position):
+    def __init__(self, position: ArrayLike) -> None:
         self.position = points("positions of an injector", position)
 
-    def prepare(self, particles):
+    def prepare(self, particles: "Particles") -> None:
         """Nothing to take up."""
 
-    def places(self, generator, count, first):
+    def places(self, generator: np.random.Generator, count: int, first: int) -> tuple[np.ndarray, None]:
         """The places (count, 3) of the parcels from number ``first`` on; there are no normals."""
         return self.position[(first + np.arange(count)) % len(self.position)], None

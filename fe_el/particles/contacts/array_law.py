@@ -1,5 +1,8 @@
 """Contact laws that are plain array functions of the user's."""
+from collections.abc import Callable
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fe_el.checks import positive_number
 from fe_el.compiled.direct_calls import Direct
@@ -23,13 +26,14 @@ class ArrayLaw:
         ValueError: for something that cannot be called, or a contact time that is not positive.
     """
 
-    def __init__(self, function, contact_time):
+    def __init__(self, function: Callable[..., tuple], contact_time: float) -> None:
         if not callable(function):
             raise ValueError(  # noqa: TRY004
                 f"The contact law is {function!r}; pass a function of arrays.")
         self.function, self._contact_time = function, positive_number("contact time", contact_time)
 
-    def contact_time(self, reduced_mass, reduced_radius=None, speed=None):
+    def contact_time(self, reduced_mass: ArrayLike, reduced_radius: ArrayLike | None = None,
+                     speed: ArrayLike | None = None) -> float:
         """Duration of the shortest collision [s]."""
         return self._contact_time
 

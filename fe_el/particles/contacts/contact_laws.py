@@ -3,6 +3,7 @@ import functools
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fe_el.checks import numbers, require_not_negative, require_positive
 
@@ -30,7 +31,7 @@ class RollingFriction:
         ValueError: for a negative coefficient.
     """
 
-    def __init__(self, coefficient, elastic_plastic=False, torsion=False):
+    def __init__(self, coefficient: ArrayLike, elastic_plastic: bool = False, torsion: bool = False) -> None:
         require_not_negative("rolling friction", coefficient)
         self.torsion = bool(torsion)
         self.coefficient, self.elastic_plastic = np.asarray(coefficient, float), bool(elastic_plastic)
@@ -80,7 +81,7 @@ class _Law:
         self.table[:, :, 6] = pair_table(*attraction, materials)
 
     @functools.cached_property
-    def numbers(self):
+    def numbers(self) -> LawNumbers:
         """What the kernels need."""
         cohesive = bool(self.table[:, :, 6].any())
         return LawNumbers(self.kind, self.rolls, cohesive, bool(self.kind == 1 or cohesive or self.rolls), self.table)
@@ -120,8 +121,9 @@ class LinearSpringDashpot(_Law):
 
     kind = 0
 
-    def __init__(self, stiffness, restitution, friction, tangential_stiffness_ratio=2 / 7, tangential_damping_ratio=0.5,
-                 rolling=None, surface_energy=0.0, cohesion=0.0):
+    def __init__(self, stiffness: ArrayLike, restitution: ArrayLike, friction: ArrayLike,
+                 tangential_stiffness_ratio: ArrayLike = 2 / 7, tangential_damping_ratio: ArrayLike = 0.5,
+                 rolling: RollingFriction | None = None, surface_energy: ArrayLike = 0.0, cohesion: ArrayLike = 0.0) -> None:
         require_positive("stiffness", stiffness)
         restitution, friction = numbers("restitution", restitution), numbers("friction", friction)
         surface_energy = numbers("surface energy", surface_energy)
@@ -143,7 +145,8 @@ class LinearSpringDashpot(_Law):
         self.table[:, :, 4] = pair_table("tangential damping ratio", et, n)
         self.stiffness = self.table[:, :, 0].max()
 
-    def contact_time(self, reduced_mass, reduced_radius=None, speed=None):
+    def contact_time(self, reduced_mass: float | np.ndarray, reduced_radius: float | np.ndarray | None = None,
+                     speed: float | np.ndarray | None = None) -> float:
         """Duration of the shortest collision [s]: pi / sqrt(k/m* - eta^2/(4 m*^2)), over all pairs of materials.
 
         Masses and radii are numbers, or (materials, materials).
@@ -169,7 +172,8 @@ class HertzMindlin(_Law):
 
     kind = 1
 
-    def __init__(self, youngs_modulus, poisson_ratio, restitution, friction, rolling=None, cohesion=0.0):
+    def __init__(self, youngs_modulus: ArrayLike, poisson_ratio: ArrayLike, restitution: ArrayLike, friction: ArrayLike,
+                 rolling: RollingFriction | None = None, cohesion: ArrayLike = 0.0) -> None:
         require_positive("Young's modulus", youngs_modulus)
         restitution, friction = numbers("restitution", restitution), numbers("friction", friction)
         cohesion = numbers("cohesion energy density", cohesion)
@@ -191,7 +195,8 @@ class HertzMindlin(_Law):
         self.table[:, :, 4] = 1.0
         self.stiffness = self.table[:, :, 0].max()
 
-    def contact_time(self, reduced_mass, reduced_radius, speed):
+    def contact_time(self, reduced_mass: float | np.ndarray, reduced_radius: float | np.ndarray,
+                     speed: float | np.ndarray) -> float:
         """Duration of a collision at the relative speed [s]: 2.94328 (15 m* v^2/(16 E* sqrt R*))^0.4 / v."""
         deepest = (15 * reduced_mass * speed ** 2 / (16 * self.table[:, :, 0] * np.sqrt(reduced_radius))) ** 0.4
         return float((2.94328 * deepest / speed).min())

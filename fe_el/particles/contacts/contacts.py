@@ -1,5 +1,7 @@
 """Contacts between particles and with walls, in sub-steps of a fraction of the contact time."""
 import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +23,10 @@ from fe_el.particles.contacts.sub_steps import all_forces, near_numbers, sub_ste
 from fe_el.particles.contacts.wall_shapes import FacetWalls, move_walls, note_forces, push_walls
 from fe_el.particles.contacts.wall_surfaces import carry_facets
 from fe_el.particles.particles import Particles
+
+if TYPE_CHECKING:
+    from fe_el.particles.contacts.contact_laws import HertzMindlin, LinearSpringDashpot
+    from fe_el.particles.contacts.wall_shapes import _Wall
 
 _kick, _drift_on = Direct(velocity_verlet.kick), Direct(velocity_verlet.drift_on)
 _sub_steps, _all_forces, _near_numbers, _wall_forces = map(Direct, (sub_steps, all_forces, near_numbers, wall_forces))
@@ -60,7 +66,10 @@ class Contacts(SavedContacts, ContactChecks):
         Collective.
     """
 
-    def __init__(self, particles, law, walls=None, wall_law=None, steps_per_contact=50, skin=None):
+    def __init__(self, particles: Particles, law: "LinearSpringDashpot | HertzMindlin | ArrayLaw",
+                 walls: "_Wall | Sequence[Any] | None" = None,
+                 wall_law: "LinearSpringDashpot | HertzMindlin | ArrayLaw | None" = None, steps_per_contact: int = 50,
+                 skin: float | None = None) -> None:
         of_kind("particles", particles, Particles)
         if not positive_number("steps_per_contact", steps_per_contact) >= 10:
             raise ValueError(f"steps_per_contact is {steps_per_contact}; at least 10 are needed to resolve a contact.")
@@ -79,12 +88,12 @@ class Contacts(SavedContacts, ContactChecks):
         self.touching, self.touching_walls, self.largest_overlap, self.steps_last, self.behind = 0, 0, 0.0, 0, None
 
     @property
-    def wall_law(self):
+    def wall_law(self) -> "LinearSpringDashpot | HertzMindlin | ArrayLaw":
         """Law of wall contacts: ``law`` unless another was given."""
         return self.law if self._wall_law is None else self._wall_law
 
     @wall_law.setter
-    def wall_law(self, law):
+    def wall_law(self, law: "LinearSpringDashpot | HertzMindlin | ArrayLaw") -> None:
         self._wall_law = law
 
     def _spring_width(self):
@@ -106,7 +115,7 @@ class Contacts(SavedContacts, ContactChecks):
             if not isinstance(law, ArrayLaw):
                 constant_rows(block.rows, law.numbers)
 
-    def network(self):
+    def network(self) -> dict[str, np.ndarray]:
         """Contacts between particles now, each once over all ranks, by the rank of their first particle.
 
         Returns:
@@ -120,11 +129,11 @@ class Contacts(SavedContacts, ContactChecks):
         return network_of(self)
 
     @property
-    def rebuilds(self):
+    def rebuilds(self) -> int:
         """How often the neighbour lists were made."""
         return self.lists.rebuilds
 
-    def step_limit(self):
+    def step_limit(self) -> float:
         """Largest sub-step [s]: the shortest contact time in the run over ``steps_per_contact``.
 
         Where more than three pieces of wall meet in one point their stiffnesses add up.
@@ -132,7 +141,7 @@ class Contacts(SavedContacts, ContactChecks):
         return step_limit(self.particles, self.law, self.wall_law if self.walls else None,
                           self.lists.meeting) / self.steps_per_contact
 
-    def advance(self, dt):
+    def advance(self, dt: float) -> None:
         """Advance the particles by ``dt`` [s] in velocity Verlet sub-steps."""
         p, tick, renewing = self.particles, time.perf_counter(), self.seconds["neighbours"]
         self._check_parts()

@@ -40,7 +40,7 @@ class SavedLists:
 class SavedContacts:
     """What :class:`Contacts` keep of themselves and take back."""
 
-    def saved(self):
+    def saved(self) -> dict[str, tuple]:
         """Springs of the live contacts, by the particles' numbers and the places of the facets; moving walls."""
         lists, p, out = self.lists, self.particles, {}
         kept = lists.collect(self.step, self.layout)
@@ -57,7 +57,7 @@ class SavedContacts:
                               "largest_overlap": self.largest_overlap})
         return out
 
-    def restore(self, state):
+    def restore(self, state: dict[str, dict]) -> None:
         """Springs for the particles of this rank, given to the lists when these are made next; load the particles first."""
         p, same = self.particles, state["same"]
         self.lists.restore(state)
@@ -66,7 +66,7 @@ class SavedContacts:
         self.layout = p.layout if same["known"] else None
         self.anew()
 
-    def anew(self):
+    def anew(self) -> None:
         """Let the next step make the lists anew, as a run that goes on from a checkpoint does."""
         self.stale = True
         self.lists.anew()

@@ -1,5 +1,9 @@
 """Walls: tagged boundary facets of the mesh, and planes and cylinders that may move."""
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fe_el.checks import finite_vector, positive_number, whole_number
 from fe_el.compiled.cache import njit
@@ -39,7 +43,7 @@ class _Wall:
         self.torque = np.zeros(3)  #: its mean torque about ``point`` [N m]
         self.motion()
 
-    def follow(self, time):
+    def follow(self, time: float) -> None:
         """Take the motion that ``drive`` gives at a time."""
         if self.drive is not None:
             try:
@@ -48,7 +52,7 @@ class _Wall:
                 raise ValueError(f"The drive of a wall gives {str(self.drive(time))[:60]} at time {time:g} s; it must give "
                                  "two vectors, velocity [m/s] and angular velocity [1/s].") from None
 
-    def load_row(self):
+    def load_row(self) -> np.ndarray:
         """Direction of the load, its size [N], and one over the mass [1/kg], zero where there is none; checked."""
         if self.load is None:
             return np.zeros(5)
@@ -58,7 +62,7 @@ class _Wall:
         force, mass = finite_vector("load of a wall", self.load[0]), positive_number("mass of a wall", self.load[1])
         return np.array([*_direction("load", force, "a force"), np.linalg.norm(force), 1 / mass])
 
-    def motion(self):
+    def motion(self) -> np.ndarray:
         """Origin, velocity and rotation in one row, after checking them and the material."""
         self.material = whole_number("material of a wall", self.material, 0)
         self.point = finite_vector("point of a wall", self.point)
@@ -68,7 +72,7 @@ class _Wall:
 
     turned = np.eye(3)  # planes and cylinders turn by their normal or axis
 
-    def restore(self, motion, turned):
+    def restore(self, motion: np.ndarray, turned: np.ndarray) -> None:
         """Take back origin, velocity and rotation (9,), and how the wall is turned (3, 3)."""
         self.point, self.velocity, self.angular_velocity = motion[:3].copy(), motion[3:6].copy(), motion[6:].copy()
 
@@ -87,7 +91,9 @@ class FacetWalls(_Wall):
 
     kind = FACETS
 
-    def __init__(self, facet_tags, groups, material=0, velocity=(0, 0, 0), angular_velocity=(0, 0, 0), point=(0, 0, 0)):
+    def __init__(self, facet_tags: Any, groups: int | str | Sequence[int | str], material: int = 0,
+                 velocity: ArrayLike = (0, 0, 0), angular_velocity: ArrayLike = (0, 0, 0),
+                 point: ArrayLike = (0, 0, 0)) -> None:
         super().__init__(point, material, velocity, angular_velocity)
         self.facet_tags, self.groups = facet_tags, groups
 
@@ -101,17 +107,18 @@ class PlaneWall(_Wall):
 
     kind = PLANE
 
-    def __init__(self, point, normal, material=0, velocity=(0, 0, 0), angular_velocity=(0, 0, 0)):
+    def __init__(self, point: ArrayLike, normal: ArrayLike, material: int = 0, velocity: ArrayLike = (0, 0, 0),
+                 angular_velocity: ArrayLike = (0, 0, 0)) -> None:
         super().__init__(point, material, velocity, angular_velocity)
         self.normal = normal
         self.normal = self.shape[:3]
 
     @property
-    def shape(self):
+    def shape(self) -> np.ndarray:
         """The unit normal, and a zero."""
         return np.array([*_direction("normal", self.normal, "the direction from the wall to the particles"), 0.0])
 
-    def moved(self, point, shape):
+    def moved(self, point: np.ndarray, shape: np.ndarray) -> None:
         """Take up where the wall is now."""
         self.point, self.normal = point.copy(), shape[:3].copy()
 
@@ -125,18 +132,19 @@ class CylinderWall(_Wall):
 
     kind = CYLINDER
 
-    def __init__(self, point, axis, radius, outside=False, material=0, velocity=(0, 0, 0), angular_velocity=(0, 0, 0)):
+    def __init__(self, point: ArrayLike, axis: ArrayLike, radius: float, outside: bool = False, material: int = 0,
+                 velocity: ArrayLike = (0, 0, 0), angular_velocity: ArrayLike = (0, 0, 0)) -> None:
         super().__init__(point, material, velocity, angular_velocity)
         self.axis, self.radius, self.outside = axis, radius, bool(outside)
         self.axis = self.shape[:3]
 
     @property
-    def shape(self):
+    def shape(self) -> np.ndarray:
         """The unit axis, and the radius, negative if particles are outside."""
         self.radius = positive_number("radius of a cylinder wall", self.radius)
         return np.array([*_direction("axis", self.axis, "its direction"), -self.radius if self.outside else self.radius])
 
-    def moved(self, point, shape):
+    def moved(self, point: np.ndarray, shape: np.ndarray) -> None:
         """Take up where the wall is now."""
         self.point, self.axis = point.copy(), shape[:3].copy()
 

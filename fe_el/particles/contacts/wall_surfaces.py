@@ -1,7 +1,9 @@
 """Walls from surfaces of triangles, which need not be facets of the mesh and may move."""
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fe_el.checks import numbers, positive_number
 from fe_el.compiled.cache import njit
@@ -36,8 +38,9 @@ class SurfaceWall(_Wall):
 
     kind = SURFACE
 
-    def __init__(self, surface, material=0, velocity=(0, 0, 0), angular_velocity=(0, 0, 0), point=(0, 0, 0), scale=1.0,
-                 may_be_open=False):
+    def __init__(self, surface: str | Path | Sequence[ArrayLike], material: int = 0, velocity: ArrayLike = (0, 0, 0),
+                 angular_velocity: ArrayLike = (0, 0, 0), point: ArrayLike = (0, 0, 0), scale: float = 1.0,
+                 may_be_open: bool = False) -> None:
         super().__init__(point, material, velocity, angular_velocity)
         points, triangles = _read(surface)
         corner, self.vertex = _cleaned(points * positive_number("scale of the surface", scale), triangles)
@@ -52,20 +55,20 @@ class SurfaceWall(_Wall):
                              "through. Close it, or pass may_be_open=True if it is a plate.")
 
     @property
-    def shape(self):
+    def shape(self) -> np.ndarray:
         """Rotation vector of the step so far, and a zero: none at its start."""
         return np.zeros(4)
 
-    def restore(self, motion, turned):
+    def restore(self, motion: np.ndarray, turned: np.ndarray) -> None:
         """Take back origin, velocity and rotation (9,), and how the wall is turned (3, 3)."""
         super().restore(motion, turned)
         self.turned = turned
 
-    def moved(self, point, shape):
+    def moved(self, point: np.ndarray, shape: np.ndarray) -> None:
         """Take up where the wall is now."""
         self.point, self.turned = point.copy(), rotation(shape[:3]) @ self.turned
 
-    def corners(self):
+    def corners(self) -> np.ndarray:
         """Corners (triangles, 3, 3) where the wall is now [m]."""
         return self.point + self.body @ self.turned.T
 

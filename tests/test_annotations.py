@@ -1,0 +1,55 @@
+"""Every public name says in its signature what it takes and gives: for editors, type checkers and readers."""
+import functools
+import inspect
+
+import fe_el
+
+MODULES = "drag_laws", "time_scales", "schemes", "mapping"
+
+
+def functions_of(cls):
+    """The constructor, public methods and properties of a class that fe_el itself defines, inherited ones too."""
+    for name in dir(cls):
+        home = next(c for c in cls.__mro__ if name in c.__dict__)
+        if not home.__module__.startswith("fe_el") or name.startswith("_") and name != "__init__":
+            continue
+        member = home.__dict__[name]
+        if isinstance(member, property):
+            accessors = member.fget, member.fset
+        elif isinstance(member, functools.cached_property):
+            accessors = (member.func,)
+        else:
+            accessors = (getattr(member, "__func__", member),)
+        yield from (f for f in accessors if inspect.isfunction(f))
+
+
+def public_functions():
+    for name in fe_el.__all__:
+        thing = getattr(fe_el, name)
+        if inspect.isclass(thing):
+            yield from functions_of(thing)
+        elif name not in MODULES:
+            yield thing
+
+
+def missing(function):
+    """Its parameters without annotation, and ``return``."""
+    wanted = [name for name, p in inspect.signature(function).parameters.items() if name not in ("self", "cls")]
+    return [name for name in (*wanted, "return") if name not in function.__annotations__]
+
+
+def faults_of(functions):
+    functions = {f"{f.__module__}.{f.__qualname__}": f for f in functions}
+    return {name: missing(f) for name, f in functions.items() if missing(f)}
+
+
+def test_public_classes_and_functions_are_annotated():
+    assert not faults_of(public_functions())
+
+
+def test_functions_of_public_modules_are_annotated():
+    """Those written in Python: compiled ones have no say in it."""
+    found = [f for name in MODULES for f in vars(getattr(fe_el, name)).values()
+             if inspect.isfunction(f) and f.__module__ == getattr(fe_el, name).__name__ and not f.__name__.startswith("_")]
+    assert found
+    assert not faults_of(found)
