@@ -51,10 +51,10 @@ class AddedMass:
         ValueError: for a negative coefficient.
     """
 
-    def __init__(self, coefficient=None):
+    def __init__(self, coefficient: float | None = None) -> None:
         self.coefficient = None if coefficient is None else not_negative_number("coefficient of added mass", coefficient)
 
-    def density(self, solid, fluid_density):
+    def density(self, solid: np.ndarray, fluid_density: float) -> np.ndarray:
         """C rho (particles,) [kg/m^3] at solid fractions (particles,)."""
         if self.coefficient is not None:
             return np.full(len(solid), self.coefficient * fluid_density)

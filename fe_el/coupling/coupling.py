@@ -1,5 +1,7 @@
 """Two-way coupling: particles to three cell fields, and the impulse the fluid really gave back to them."""
 import math
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from dolfinx import fem
@@ -24,6 +26,9 @@ from fe_el.coupling.smoothing import FixedValues
 from fe_el.coupling.undisturbed import UndisturbedVelocity
 from fe_el.dolfinx_api import scalar_space, vector_space
 from fe_el.nodes.work_arrays import WorkArrays
+
+if TYPE_CHECKING:
+    from fe_el.particles.particles import Particles
 
 
 class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
@@ -77,9 +82,10 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
         Collective.
     """
 
-    def __init__(self, particles, velocity, pressure, fluid_density, fluid_viscosity, forces, scheme="conservative",
-                 mapping="overlap_volume", smoothing=None, fluid_velocity="cell", largest_solid_fraction=0.74,
-                 positions=None, mean_velocity=None):
+    def __init__(self, particles: "Particles", velocity: Any, pressure: Any, fluid_density: float, fluid_viscosity: float,
+                 forces: Sequence[Any], scheme: str = "conservative", mapping: str | Any = "overlap_volume",
+                 smoothing: Callable[[np.ndarray], np.ndarray] | None = None, fluid_velocity: str = "cell",
+                 largest_solid_fraction: float = 0.74, positions: str | None = None, mean_velocity: Any = None) -> None:
         if not hasattr(particles, "relaxation_rate") or isinstance(particles, type):
             raise ValueError(f"The particles are {particles!r}; pass an object of Particles.")
         for name, function in (("velocity", velocity), ("pressure", pressure), ("mean velocity", mean_velocity)):
@@ -155,7 +161,7 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
         self.momentum_imbalance, self.max_solid_fraction = 0.0, 0.0
 
     @classmethod
-    def of(cls, fluid, particles, forces, **kwargs):
+    def of(cls, fluid: Any, particles: "Particles", forces: Sequence[Any], **kwargs: Any) -> "Coupling":
         """The coupling of a fluid and particles that fit each other.
 
         Velocity, pressure, density and viscosity are the fluid's, and so is the mean of a :class:`PressureGradient` that was
@@ -179,12 +185,12 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
         pressure, forces = flow.pressure if flow is fluid else fluid.mean_pressure, fitting(flow, particles, forces)
         return cls(particles, flow.velocity, pressure, flow.density, flow.viscosity, forces, **kwargs)
 
-    def saved(self):
+    def saved(self) -> dict[str, tuple]:
         """Whether the fluid answers, and the count of over-filled cells, for a checkpoint."""
         answers = -1 if self.answers is None else int(self.answers)
         return {"same": (None, {"answers": answers, "over_filled_total": self.over_filled_total})}
 
-    def restore(self, state):
+    def restore(self, state: dict[str, dict]) -> None:
         """Take them back."""
         answers = int(state["same"]["answers"])
         self.answers = None if answers < 0 else bool(answers)
@@ -192,7 +198,7 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
 
     # -- particles to fluid --------------------------------------------------------------------------------------------
 
-    def to_fluid(self, dt):
+    def to_fluid(self, dt: float) -> None:
         """Map the particles: void fraction, drag coefficient and momentum source for a step of ``dt`` [s].
 
         Note:
@@ -251,7 +257,7 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
 
     # -- fluid to particles --------------------------------------------------------------------------------------------
 
-    def to_particles(self, dt):
+    def to_particles(self, dt: float) -> None:
         """Give the particles the impulse of the fluid over the step just made, as a force over the next ``dt`` [s], and the
         change of their spin at once.
 

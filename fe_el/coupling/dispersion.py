@@ -1,5 +1,6 @@
 """Dispersion of particles by the part of the turbulence that a large-eddy simulation does not resolve."""
 import math
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -7,6 +8,9 @@ from fe_el.checks import of_kind, whole_number
 from fe_el.compiled.cache import njit
 from fe_el.compiled.random_numbers import normal
 from fe_el.coupling.forces import Drag
+
+if TYPE_CHECKING:
+    from fe_el.coupling.fluid_at_particles import FluidAtParticles
 
 YOSHIZAWA = 0.094  # eddy viscosity over filter width and root of the unresolved energy
 MEMORY = 0.5 + 0.75 * 2.1  # one over the correlation time of the velocity, in units of dissipation over energy
@@ -48,7 +52,7 @@ class TurbulentDispersion:
 
     needs = ("slip", "solid_fraction")
 
-    def __init__(self, fluid, drag, seed=0):
+    def __init__(self, fluid: Any, drag: Drag, seed: int = 0) -> None:
         if getattr(fluid, "turbulence", None) is None:
             raise ValueError("The fluid has no turbulence closure, so no eddy viscosity to tell what it does not resolve; "
                              "give it turbulence=, for instance Wale().")
@@ -57,7 +61,7 @@ class TurbulentDispersion:
             raise ValueError("The drag is that of mixed sizes; give one of Drag(law), with a law of a single size.")
         self.width = fluid.volume ** (1 / fluid.dimension)
 
-    def force(self, fluid):
+    def force(self, fluid: "FluidAtParticles") -> np.ndarray:
         """V beta' u' (particles, d) [N]."""
         p, d = fluid.particles, fluid.slip.shape[1]
         seen = p.properties.setdefault("_unresolved_velocity", np.zeros((len(p), d)))

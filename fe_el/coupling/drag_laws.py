@@ -10,7 +10,7 @@ import numpy as np
 _SMALL = 1e-12
 
 
-def beetstra(solid_fraction, reynolds):
+def beetstra(solid_fraction: np.ndarray, reynolds: np.ndarray) -> np.ndarray:
     """Beetstra, van der Hoef & Kuipers, AIChE J. 53 (2007) 489; Re to 1000, solid fraction to 0.6."""
     s, phi, re = solid_fraction, 1 - solid_fraction, np.maximum(reynolds, _SMALL)
     log = np.log(re)  # powers by exponentials, which cost a third
@@ -19,14 +19,14 @@ def beetstra(solid_fraction, reynolds):
     return viscous + 0.413 * re / (24 * phi ** 2) * inertial
 
 
-def tang(solid_fraction, reynolds):
+def tang(solid_fraction: np.ndarray, reynolds: np.ndarray) -> np.ndarray:
     """Tang, Peters, Kuipers, Kriebitzsch & van der Hoef, AIChE J. 61 (2015) 688; Re to 1000, solid fraction to 0.6."""
     s, phi, re = solid_fraction, 1 - solid_fraction, np.maximum(reynolds, 0.0)
     viscous = 10 * s / phi ** 2 + phi ** 2 * (1 + 1.5 * np.sqrt(s))
     return viscous + (0.11 * s * (1 + s) - 0.00456 / phi ** 4) * re + (0.169 * phi + 0.0644 / phi ** 4) * re ** 0.657
 
 
-def tenneti(solid_fraction, reynolds):
+def tenneti(solid_fraction: np.ndarray, reynolds: np.ndarray) -> np.ndarray:
     """Tenneti, Garg & Subramaniam, Int. J. Multiphase Flow 37 (2011) 1072; Re to 300, solid fraction to 0.5."""
     s, phi, re = solid_fraction, 1 - solid_fraction, np.maximum(reynolds, 0.0)
     single = (1 + 0.15 * re ** 0.687) / phi ** 3
@@ -34,7 +34,7 @@ def tenneti(solid_fraction, reynolds):
     return phi * (single + crowd + s ** 3 * re * (0.95 + 0.61 * s ** 3 / phi ** 2))
 
 
-def koch_hill(solid_fraction, reynolds):
+def koch_hill(solid_fraction: np.ndarray, reynolds: np.ndarray) -> np.ndarray:
     """Koch & Hill, Annu. Rev. Fluid Mech. 33 (2001) 619, and Hill, Koch & Ladd, J. Fluid Mech. 448 (2001) 243."""
     s, phi = solid_fraction, 1 - solid_fraction
     safe = np.maximum(s, 1e-300)
@@ -44,34 +44,34 @@ def koch_hill(solid_fraction, reynolds):
     return phi * (still + 0.5 * (0.0673 + 0.212 * s + 0.0232 / phi ** 5) * np.maximum(reynolds, 0.0))
 
 
-def di_felice(solid_fraction, reynolds):
+def di_felice(solid_fraction: np.ndarray, reynolds: np.ndarray) -> np.ndarray:
     """Di Felice, Int. J. Multiphase Flow 20 (1994) 153, with Dallavalle's drag of one sphere; any Re."""
     phi, re = 1 - solid_fraction, np.maximum(reynolds, _SMALL)
     exponent = 3.7 - 0.65 * np.exp(-(1.5 - np.log10(re)) ** 2 / 2)
     return (0.63 * np.sqrt(re) + 4.8) ** 2 / 24 * phi ** -exponent
 
 
-def wen_yu(solid_fraction, reynolds):
+def wen_yu(solid_fraction: np.ndarray, reynolds: np.ndarray) -> np.ndarray:
     """Wen & Yu, Chem. Eng. Prog. Symp. Ser. 62 (1966) 100; dilute to moderately dense."""
     return _single_sphere(reynolds) * (1 - solid_fraction) ** -3.65
 
 
-def ergun(solid_fraction, reynolds):
+def ergun(solid_fraction: np.ndarray, reynolds: np.ndarray) -> np.ndarray:
     """Ergun, Chem. Eng. Prog. 48 (1952) 89; packed beds."""
     return (150 * solid_fraction + 1.75 * reynolds) / (18 * (1 - solid_fraction) ** 2)
 
 
-def gidaspow(solid_fraction, reynolds):
+def gidaspow(solid_fraction: np.ndarray, reynolds: np.ndarray) -> np.ndarray:
     """Gidaspow (1994): Wen-Yu above a void fraction of 0.8, Ergun below; not continuous there."""
     return np.where(1 - solid_fraction > 0.8, wen_yu(solid_fraction, reynolds), ergun(solid_fraction, reynolds))
 
 
-def schiller_naumann(solid_fraction, reynolds):
+def schiller_naumann(solid_fraction: np.ndarray, reynolds: np.ndarray) -> np.ndarray:
     """Schiller & Naumann (1935): a single sphere, no influence of the others; Re to 1000."""
     return 1 + 0.15 * reynolds ** 0.687 + 0 * solid_fraction
 
 
-def stokes(solid_fraction, reynolds):
+def stokes(solid_fraction: np.ndarray, reynolds: np.ndarray) -> np.ndarray:
     """Stokes (1851): a single sphere in creeping flow."""
     return 1 + 0 * (solid_fraction + reynolds)
 

@@ -1,12 +1,18 @@
 """Forces of the fluid on particles, composed as a list; what an object of the list is: see
 :mod:`fe_el.coupling.fluid_at_particles`."""
 import inspect
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fe_el.checks import numbers
 from fe_el.compiled.cache import njit
 from fe_el.coupling import drag_laws
+
+if TYPE_CHECKING:
+    from fe_el.coupling.fluid_at_particles import FluidAtParticles
 
 
 @njit
@@ -36,7 +42,8 @@ class Drag:
         ValueError: for an unknown name, or something that is not such a function.
     """
 
-    def __init__(self, law, polydisperse=False, relaxing=False):
+    def __init__(self, law: str | Callable[[np.ndarray, np.ndarray], np.ndarray], polydisperse: bool = False,
+                 relaxing: bool = False) -> None:
         if isinstance(law, str):
             if law not in drag_laws.LAWS:
                 raise ValueError(f"There is no drag law {law!r}; use one of {sorted(drag_laws.LAWS)} or pass a function.")
@@ -45,7 +52,8 @@ class Drag:
             raise ValueError(f"The drag law is {law!r}; pass a function law(solid_fraction, reynolds) that returns F.")
         self.law, self.polydisperse, self.relaxing = law, bool(polydisperse), bool(relaxing)
 
-    def coefficient(self, solid_fraction, slip, diameter, density, viscosity, sauter=None):
+    def coefficient(self, solid_fraction: np.ndarray, slip: np.ndarray, diameter: np.ndarray, density: float,
+                    viscosity: float, sauter: np.ndarray | None = None) -> np.ndarray:
         """beta = 18 mu phi F / d^2 per particle volume (particles,) [kg/(m^3 s)]; ``sauter`` is the local d32 [m]."""
         size = diameter if sauter is None else sauter
         reynolds = _reynolds(solid_fraction, slip, size, density, viscosity)
@@ -70,7 +78,7 @@ class PressureGradient:
             one that carries the weight; give the fluid the same as ``mean_pressure_gradient``.
     """
 
-    def __init__(self, mean=(0.0, 0.0, 0.0)):
+    def __init__(self, mean: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         self.mean = np.zeros(3)
         mean = numbers("mean pressure gradient", mean).ravel()
         if mean.size not in (2, 3) or not np.isfinite(mean).all():
@@ -86,7 +94,7 @@ class ViscousStress:
 
     needs = ("stress_divergence",)
 
-    def force(self, fluid):
+    def force(self, fluid: "FluidAtParticles") -> np.ndarray:
         """V div tau (particles, d) [N]."""
         return fluid.volume[:, None] * fluid.stress_divergence
 

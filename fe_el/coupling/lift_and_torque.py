@@ -4,10 +4,15 @@ Laws are those of one sphere in a fluid that is wide around it; parcels feel wha
 - omega the spin of the fluid relative to that of the particle, and s = u - v the slip: Re = rho |s| d / mu, Re_R = rho
 |Omega| d^2 / mu.
 """
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from fe_el.coupling.fluid_at_particles import inner_nodes
 from fe_el.coupling.smoothing import Nodes
+
+if TYPE_CHECKING:
+    from fe_el.coupling.fluid_at_particles import FluidAtParticles
 
 TINY = 1e-300
 
@@ -32,7 +37,7 @@ class SaffmanLift:
 
     needs = ("slip", "vorticity")
 
-    def force(self, fluid):
+    def force(self, fluid: "FluidAtParticles") -> np.ndarray:
         """(particles, d) [N]."""
         p, d = fluid.particles, fluid.particles.primary_diameter
         turn, slip = _size(fluid.vorticity), _size(fluid.slip)
@@ -51,7 +56,7 @@ class MagnusLift:
 
     needs = ("slip", "vorticity")
 
-    def force(self, fluid):
+    def force(self, fluid: "FluidAtParticles") -> np.ndarray:
         """(particles, d) [N]."""
         p, d = fluid.particles, fluid.particles.primary_diameter
         relative = 0.5 * fluid.vorticity - p.angular_velocity
@@ -72,7 +77,7 @@ class Torque:
 
     needs = ("vorticity",)
 
-    def spin(self, fluid):
+    def spin(self, fluid: "FluidAtParticles") -> tuple[np.ndarray, np.ndarray]:
         """Rates (particles,) [1/s] and targets (particles, 3) [1/s] of the angular velocities."""
         p, d, target = fluid.particles, fluid.particles.primary_diameter, 0.5 * fluid.vorticity
         re = fluid.density * _size(target - p.angular_velocity) * d ** 2 / fluid.viscosity

@@ -1,7 +1,10 @@
 """Mapping between particles and cells: which share w_ij of particle i belongs to cell j. The shares of a particle sum to
 one."""
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 from mpi4py import MPI
+from numpy.typing import ArrayLike
 
 from fe_el.checks import numbers
 from fe_el.compiled.cache import njit
@@ -9,11 +12,14 @@ from fe_el.coupling.overlap import OverlapVolume
 from fe_el.coupling.shares import ListedShares
 from fe_el.particles.location import INSIDE, walk
 
+if TYPE_CHECKING:
+    from fe_el.mesh.cell_mesh import CellMesh
+
 FAST = {"contract", "reassoc", "nsz", "arcp"}
 INNER, OUTER = 0.6276065, 0.9085281  # centroids of two shells that share the sphere's volume, in radii
 
 
-def isotropic_points():
+def isotropic_points() -> np.ndarray:
     """Centre, 6 axes and 8 cube corners at two radii: (29, 3), in radii. Second moments are nearly isotropic."""
     axes = np.vstack([np.eye(3), -np.eye(3)])
     corners = np.array([(a, b, c) for a in (1, -1) for b in (1, -1) for c in (1, -1)]) / np.sqrt(3)
@@ -21,7 +27,7 @@ def isotropic_points():
     return np.vstack([np.zeros((1, 3)), INNER * directions, OUTER * directions])
 
 
-def cfdem_points():
+def cfdem_points() -> np.ndarray:
     """The points of CFDEMcoupling: its corners lie at polar angles of 45 degrees, so the cloud is longer in z: (29, 3)."""
     axes = np.vstack([np.eye(3), -np.eye(3)])
     corners = np.array([(a, b, c * np.sqrt(2)) for a in (1, -1) for b in (1, -1) for c in (1, -1)]) / 2
@@ -131,7 +137,7 @@ class SatellitePoints(ListedShares):
         ValueError: for points of the wrong shape or outside the particle.
     """
 
-    def __init__(self, points=None):
+    def __init__(self, points: ArrayLike | None = None) -> None:
         super().__init__()
         self.points = isotropic_points() if points is None else numbers("satellite points", points)
         if self.points.ndim != 2 or self.points.shape[1] != 3 or not (np.linalg.norm(self.points, axis=1) <= 1).all():
@@ -139,7 +145,7 @@ class SatellitePoints(ListedShares):
                              f"of "
                              "radius one.")
 
-    def prepare(self, cells, cell, position, radius):
+    def prepare(self, cells: "CellMesh", cell: np.ndarray, position: np.ndarray, radius: np.ndarray) -> None:
         """Find the shares of particles at ``position`` with centre in ``cell``: entries start[i]:start[i+1] of particle
         i."""
         n = len(cell)
@@ -152,7 +158,7 @@ class SatellitePoints(ListedShares):
 class ParticleCentred(SatellitePoints):
     """All of a particle belongs to the cell of its centre."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__(np.zeros((1, 3)))
 
 
@@ -211,20 +217,20 @@ class HatKernel:
     particle's size.
     """
 
-    def prepare(self, cells, cell, position, radius):
+    def prepare(self, cells: "CellMesh", cell: np.ndarray, position: np.ndarray, radius: np.ndarray) -> None:
         """Coordinates of every particle in its cell."""
         self.cells, self.cell = cells, cell.copy()
         self.weight = np.empty((len(cell), cells.vertex.shape[1]))
         _coordinates(cells.barycentric, cell, position, self.weight)
         self.patch = patch_volume(cells)
 
-    def deposit(self, quantity, out):
+    def deposit(self, quantity: np.ndarray, out: np.ndarray) -> None:
         """out[j] += sum_i w_ij quantity_i for (particles, k) quantities."""
         values = np.zeros((len(self.patch), quantity.shape[1]))
         _to_vertices(self.cells.local_vertex, self.cell, self.weight, quantity, values)
         _vertices_to_cells(self.cells.local_vertex, self.cells.volume, self.patch, values, out)
 
-    def gather(self, field, out):
+    def gather(self, field: np.ndarray, out: np.ndarray) -> None:
         """out[i] = sum_j w_ij field_j for (cells, k) fields."""
         values = np.zeros((len(self.patch), field.shape[1]))
         cells_to_vertices(self.cells.local_vertex, self.cells.volume, self.patch, field, values)
@@ -238,19 +244,19 @@ class WellMixed:
         Collective.
     """
 
-    def __init__(self, comm=MPI.COMM_WORLD):
+    def __init__(self, comm: MPI.Comm = MPI.COMM_WORLD) -> None:
         self.comm = comm
 
-    def prepare(self, cells, cell, position, radius):
+    def prepare(self, cells: "CellMesh", cell: np.ndarray, position: np.ndarray, radius: np.ndarray) -> None:
         """Each cell's part of the domain."""
         self.part = np.where(np.arange(len(cells.volume)) < cells.owned, cells.volume, 0.0)
         self.part /= self.comm.allreduce(self.part.sum())
 
-    def deposit(self, quantity, out):
+    def deposit(self, quantity: np.ndarray, out: np.ndarray) -> None:
         """out[j] += V_j / V sum_i quantity_i for (particles, k) quantities."""
         out += self.part[:, None] * self.comm.allreduce(quantity.sum(0))
 
-    def gather(self, field, out):
+    def gather(self, field: np.ndarray, out: np.ndarray) -> None:
         """out[i] = sum_j V_j / V field_j for (cells, k) fields."""
         out[:] = self.comm.allreduce(self.part @ field)
 
@@ -259,7 +265,7 @@ class LinearInterpolation(HatKernel):
     """Values at particles by linear interpolation between vertex means of a cell field."""
 
 
-def patch_volume(cells):
+def patch_volume(cells: "CellMesh") -> np.ndarray:
     """(vertices,) volume of the cells around each local vertex."""
     return np.bincount(cells.local_vertex.ravel(), np.repeat(cells.volume, cells.local_vertex.shape[1]),
                        len(cells.vertex_start) - 1)
@@ -270,7 +276,7 @@ MAPPINGS = {"overlap_volume": OverlapVolume, "satellite_points": SatellitePoints
             "well_mixed": WellMixed}
 
 
-def mapping_of(choice):
+def mapping_of(choice: str | Any) -> Any:
     """A mapping from its name, or the object itself.
 
     Raises:

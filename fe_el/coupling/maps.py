@@ -2,6 +2,7 @@
 import time
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fe_el.parallel.exchange import raise_everywhere
 
@@ -9,7 +10,7 @@ from fe_el.parallel.exchange import raise_everywhere
 class Maps:
     """The maps of a coupling, which has ``particles``, ``mapping``, ``smoothing``, ``spill``, ``fields`` and ``_work``."""
 
-    def to_cells(self, quantity):
+    def to_cells(self, quantity: ArrayLike) -> np.ndarray:
         """Cell densities of what particles give off, by the map that gives the fluid their volume and their forces.
 
         Args:
@@ -28,7 +29,7 @@ class Maps:
         quantity = np.asarray(quantity, float)
         return self._to_cells(quantity) if quantity.ndim == 2 else self._to_cells(quantity[:, None])[:, 0]
 
-    def at_particles(self, field):
+    def at_particles(self, field: ArrayLike) -> np.ndarray:
         """Means of a cell field at the particles: the transpose of :meth:`to_cells`, so what one gains the other loses.
 
         With cell volumes V and any field: sum(V field . to_cells(q)) = sum(at_particles(field) . q), to round-off.

@@ -1,5 +1,5 @@
 """Volume that a sphere has in each cell: exact, from the parts of the sphere beyond the facets that it touches."""
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -9,6 +9,9 @@ from fe_el.compiled.direct_calls import Direct
 from fe_el.coupling.shares import ListedShares, in_order
 from fe_el.coupling.sphere_cuts import FAST, U, place_edges, take_edges
 from fe_el.particles.location import MANY, curve_through, order_by_cell
+
+if TYPE_CHECKING:
+    from fe_el.mesh.cell_mesh import CellMesh
 
 NEGLIGIBLE = 1e-13  # of a sphere: cells that hold less are left out
 INWARDS = 1e-8  # of the way to the middle of its cell: how far centres are moved
@@ -205,12 +208,12 @@ class OverlapVolume(ListedShares):
     Many particles that lie in memory without order are taken cell by cell.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__()
         self._barycentric, self._place, self._scratch = None, np.empty((64, 3)), scratch_for(64)
         self._overlap_shares, self._spheres = Direct(overlap_shares), None
 
-    def prepare(self, cells, cell, position, radius):
+    def prepare(self, cells: "CellMesh", cell: np.ndarray, position: np.ndarray, radius: np.ndarray) -> None:
         """Find the shares of particles at ``position`` with centre in ``cell``."""
         n, done = len(cell), 0
         if self._barycentric is not cells.barycentric:

@@ -148,7 +148,7 @@ SCHEMES = {"conservative": Conservative, "explicit": Explicit, "implicit": Impli
            "implicit_from_force": ImplicitFromForce, "split": Split, "void_cells_explicit": VoidCellsExplicit}
 
 
-def scheme_of(name):
+def scheme_of(name: str) -> Conservative | Explicit:
     """The scheme of that name.
 
     Raises:

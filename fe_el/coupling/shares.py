@@ -104,15 +104,15 @@ class ListedShares:
         number = self._start[particles]
         self.start, self.cell, self.weight = self._start[:particles + 1], self._cell[:number], self._weight[:number]
 
-    def deposit(self, quantity, out):
+    def deposit(self, quantity: np.ndarray, out: np.ndarray) -> None:
         """out[j] += sum_i w_ij quantity_i for (particles, k) quantities."""
         _deposit(self.start, self.cell, self.weight, self.order, quantity, out)
 
-    def gather(self, field, out):
+    def gather(self, field: np.ndarray, out: np.ndarray) -> None:
         """out[i] = sum_j w_ij field_j for (cells, k) fields."""
         _gather(self.start, self.cell, self.weight, self.order, field, out)
 
-    def concentration(self, volume):
+    def concentration(self, volume: np.ndarray) -> np.ndarray:
         """(particles,) sum_j w_ij^2 / volume_j: one over the volume that a particle's force acts in [1/m^3]."""
         out = np.empty(len(self.start) - 1)
         _concentration(self.start, self.cell, self.weight, self.order, volume, out)

@@ -1,5 +1,5 @@
 """Smoothing of cell fields over a length: self-adjoint and conservative, with a constant matrix that is set up once."""
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -11,6 +11,9 @@ from fe_el.nodes.nodal_kernels import scatter
 from fe_el.nodes.nodal_matrix import NodalMatrix
 from fe_el.nodes.nodal_space import NodalSpace
 from fe_el.parallel.exchange import Halo
+
+if TYPE_CHECKING:
+    from dolfinx.mesh import Mesh
 
 LANCZOS = 40  # steps towards the bounds of a matrix's spectrum
 
@@ -101,7 +104,7 @@ class HelmholtzSmoothing:
         Collective.
     """
 
-    def __init__(self, mesh, length, tolerance=1e-4):
+    def __init__(self, mesh: "Mesh", length: float, tolerance: float = 1e-4) -> None:
         require_mesh(mesh)
         self.length = length = positive_number("smoothing length", length)
         if not positive_number("tolerance of the smoothing", tolerance) < 1:
@@ -183,7 +186,7 @@ class HelmholtzSmoothing:
                 x_old, x, new = x, new, x_old
         return x
 
-    def __call__(self, field):
+    def __call__(self, field: np.ndarray) -> np.ndarray:
         """Smoothed cell field (owned cells, k)."""
         nodes, n = self.nodes, self.nodes.owned_nodes
         mean = nodes.comm.allreduce(nodes.volume @ field) / nodes.total
@@ -207,13 +210,13 @@ class PatchAverage:
         Collective.
     """
 
-    def __init__(self, mesh, repeats=1):
+    def __init__(self, mesh: "Mesh", repeats: int = 1) -> None:
         require_mesh(mesh)
         self.repeats = whole_number("number of repeats", repeats, 1)
         self.nodes = Nodes(mesh)
         self.mass = self.nodes.node_halo.forward(self.nodes.load(np.ones((len(self.nodes.dofs), 1))))
 
-    def __call__(self, field):
+    def __call__(self, field: np.ndarray) -> np.ndarray:
         """Smoothed cell field (owned cells, k)."""
         for _ in range(self.repeats):
             field = self.nodes.means(self.nodes.node_halo.forward(self.nodes.load(field)) / self.mass)

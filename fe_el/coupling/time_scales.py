@@ -1,23 +1,31 @@
 """Time scales of gas-particle flow, and what they say about the scheme and the time step (Radl et al., eqs. 9 to 11)."""
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fe_el.coupling.drag_laws import stokes
 
 
-def drag_coefficient(diameter, viscosity, solid_fraction, law=stokes, reynolds=0.0):
+def drag_coefficient(diameter: ArrayLike, viscosity: float, solid_fraction: ArrayLike,
+                     law: Callable[[np.ndarray, np.ndarray], np.ndarray] = stokes,
+                     reynolds: ArrayLike = 0.0) -> float | np.ndarray:
     """beta = 18 mu phi F / d^2 per particle volume [kg/(m^3 s)]; ``law`` absent: Stokes."""
     s, re = np.asarray(solid_fraction, float), np.asarray(reynolds, float)
     return 18 * viscosity * (1 - s) * law(s, re) / np.asarray(diameter, float) ** 2
 
 
-def particle_relaxation_time(diameter, particle_density, viscosity, solid_fraction=0.0, law=stokes, reynolds=0.0):
+def particle_relaxation_time(diameter: ArrayLike, particle_density: float, viscosity: float, solid_fraction: ArrayLike = 0.0,
+                             law: Callable[[np.ndarray, np.ndarray], np.ndarray] = stokes,
+                             reynolds: ArrayLike = 0.0) -> float | np.ndarray:
     """tau_p = rho_p / beta [s]: a particle takes the velocity of the fluid within it (Stokes at zero solids: eq. 9)."""
     return particle_density / drag_coefficient(diameter, viscosity, solid_fraction, law, reynolds)
 
 
-def fluid_relaxation_time(diameter, fluid_density, viscosity, solid_fraction, law=None, reynolds=0.0):
+def fluid_relaxation_time(diameter: ArrayLike, fluid_density: float, viscosity: float, solid_fraction: ArrayLike,
+                          law: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+                          reynolds: ArrayLike = 0.0) -> float | np.ndarray:
     """tau_f = rho phi / (s beta) [s]: the fluid takes the velocity of the particles within it.
 
     ``law`` absent: eq. 10, rho d^2 (1 - s) / (18 mu s), in which the drag of a sphere has no factor phi.
@@ -28,17 +36,20 @@ def fluid_relaxation_time(diameter, fluid_density, viscosity, solid_fraction, la
     return fluid_density * (1 - s) / (s * drag_coefficient(diameter, viscosity, s, law, reynolds))
 
 
-def courant_time(cell_size, speed, courant=0.5):
+def courant_time(cell_size: float, speed: float, courant: float = 0.5) -> float:
     """tau_Co = Co dx / U [s] (eq. 11)."""
     return courant * cell_size / speed
 
 
-def explicit_limit(diameter, fluid_density, viscosity, largest_solid_fraction, law=stokes, reynolds=0.0):
+def explicit_limit(diameter: ArrayLike, fluid_density: float, viscosity: float, largest_solid_fraction: ArrayLike,
+                   law: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = stokes,
+                   reynolds: ArrayLike = 0.0) -> float | np.ndarray:
     """Largest step of explicit drag [s]: 2 tau_f at the largest *local* solid fraction, beyond which the slip grows."""
     return 2 * fluid_relaxation_time(diameter, fluid_density, viscosity, largest_solid_fraction, law, reynolds)
 
 
-def homogeneous_slip(diameter, particle_density, fluid_density, viscosity, solid_fraction, law, gravity=9.81):
+def homogeneous_slip(diameter: float, particle_density: float, fluid_density: float, viscosity: float, solid_fraction: float,
+                     law: Callable[[np.ndarray, np.ndarray], np.ndarray], gravity: float = 9.81) -> float:
     """Slip velocity of a uniform suspension at rest [m/s]: (rho_p - rho) g d^2 / (18 mu F), F at that slip."""
     s = np.array([float(solid_fraction)])
     slip = (particle_density - fluid_density) * gravity * diameter ** 2 / (18 * viscosity)
@@ -66,9 +77,9 @@ class Advice(NamedTuple):
     sentence: str
 
 
-def advice(diameter, particle_density, fluid_density, viscosity, solid_fraction, speed, cell_size, law,
-           largest_solid_fraction=0.6,
-           contact_time=np.inf):
+def advice(diameter: float, particle_density: float, fluid_density: float, viscosity: float, solid_fraction: float,
+           speed: float, cell_size: float, law: Callable[[np.ndarray, np.ndarray], np.ndarray],
+           largest_solid_fraction: float = 0.6, contact_time: float = np.inf) -> Advice:
     """Which scheme and step to take.
 
     Args:

@@ -1,5 +1,8 @@
 """Boundary conditions of the fluid: facets and nodes of the tagged groups, and their values."""
+from collections.abc import Callable, Sequence
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fe_el.checks import function_or_class_of, number_or_function
 from fe_el.fluid import cell_kernels, node_kernels
@@ -54,7 +57,7 @@ class BoundaryFacets:
 class Boundaries:
     """Boundary conditions of a fluid on tagged facets: what is set, and the values at its nodes at each step."""
 
-    def boundary(self, group):
+    def boundary(self, group: int | str) -> BoundaryFacets:
         """Facets and nodes of a boundary group."""
         if self.facet_tags is None:
             raise ValueError(f"Boundary group {group} was named, but no facet_tags were given; pass facet_tags=.")
@@ -76,7 +79,8 @@ class Boundaries:
             for k in ("velocity", "pressure", "no slip", "slip"))
         self.ready = False
 
-    def set_velocity(self, groups, value):
+    def set_velocity(self, groups: int | str | Sequence[int | str],
+                     value: ArrayLike | Callable[[float, np.ndarray], ArrayLike]) -> None:
         """Superficial velocity on inlets: d numbers, or a function (time, position (points, 3)) -> (points, d).
 
         Numbers that lead along a boundary and not through it make it a no-slip wall that moves with this velocity.
@@ -93,11 +97,13 @@ class Boundaries:
             else:
                 self._set("no slip", group, value, None)
 
-    def set_pressure(self, groups, value=0.0):
+    def set_pressure(self, groups: int | str | Sequence[int | str], value: float | Callable[[float], float] = 0.0) -> None:
         """Pressure on outlets [Pa]: a number or a function of time. Fluid may enter there without bringing energy."""
         self._set("pressure", groups, number_or_function("pressure of an outlet", value))
 
-    def set_no_slip(self, groups, velocity=None, law=None):
+    def set_no_slip(self, groups: int | str | Sequence[int | str],
+                    velocity: ArrayLike | Callable[[float, np.ndarray], ArrayLike] | None = None,
+                    law: Callable[..., np.ndarray] | None = None) -> None:
         """No-slip walls: no flow through them; friction as the mesh, the drag beside the wall or a wall law has it.
 
         Args:
@@ -123,7 +129,7 @@ class Boundaries:
             raise_everywhere(self.comm, ValueError, message)
         self._set("no slip", groups, velocity, law)
 
-    def set_slip(self, groups):
+    def set_slip(self, groups: int | str | Sequence[int | str]) -> None:
         """Slip walls: no flow through them and no friction."""
         self._set("slip", groups)
 
@@ -143,7 +149,7 @@ class Boundaries:
         self.held, self._wall_share = np.flatnonzero(self.fixed), None
         self.wall_friction = WallFriction(self, self.no_slip) if self.no_slip else None
 
-    def check_closed(self, dt):
+    def check_closed(self, dt: float) -> None:
         """Raise ``ValueError`` if more fluid comes into a domain without outlet than room for it: by inlets, sources,
         particles."""
         made, size = cell_kernels.totals(self.supply, self.volume)
@@ -155,7 +161,7 @@ class Boundaries:
                              f"particles and mass "
                              f"sources displace {sums[1]:g} m^3/s, together {net:g} m^3/s; add set_pressure(group).")
 
-    def set_boundary_values(self, phi):
+    def set_boundary_values(self, phi: np.ndarray | None) -> None:
         """Interstitial velocities of the fixed nodes at the new time. ``phi`` None: one, on all ranks."""
         d, constant = self.dimension, phi is None and not any(callable(value) for _, value in self.inlets)
         if constant and self._values_set:
@@ -170,7 +176,7 @@ class Boundaries:
                 ratio = (facets.number / void[k])[:, None]
             self.boundary_velocity[k] = velocity_at(value, self.time, self.node_position[k], d) * ratio
 
-    def inflow_at(self, time):
+    def inflow_at(self, time: float) -> np.ndarray:
         """Volume per time that the inlets let in, on the nodes of owned facets [m^3/s]; the same memory each time."""
         def add(steady, total):
             for facets, value in self.inlets:
@@ -184,11 +190,11 @@ class Boundaries:
         add(False, total)
         return total
 
-    def impose(self, u):
+    def impose(self, u: np.ndarray) -> None:
         """Give the fixed nodes their velocities, and take the normal part from slip walls, in place."""
         node_kernels.impose(u, self.slip_nodes, self.slip_normals, self.held, self.boundary_velocity)
 
-    def boundary_force(self, group):
+    def boundary_force(self, group: int | str) -> tuple[np.ndarray, np.ndarray]:
         """Force of the fluid on a boundary group, by pressure and by friction: two arrays (d,) [N].
 
         Friction is what the terms of the wall, and what keeps its nodes from moving through it, take from the fluid's

@@ -1,5 +1,8 @@
 """Velocities that users give on boundaries: checked, evaluated, integrated, ramped."""
+from collections.abc import Callable
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fe_el.checks import numbers, positive_number
 
@@ -37,7 +40,8 @@ def check_fields(fields, cells, dimension):
                          f"vector) of this mesh, but {str(fields)[:60]}; pass Coupling.fields, or Functions of such kind.")
 
 
-def ramp(value, duration):
+def ramp(value: ArrayLike | Callable[[float, np.ndarray], ArrayLike],
+         duration: float) -> Callable[[float, np.ndarray], np.ndarray]:
     """Velocity of an inlet that rises smoothly from zero to ``value`` within ``duration`` [s].
 
     Args:

@@ -1,7 +1,9 @@
 """What a cell-node scheme needs of the mesh: sizes and gradients of the cells, nodes, and sums over cells at the nodes."""
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fe_el.mesh.cell_mesh import check_simplices
 from fe_el.nodes.nodal_kernels import scatter
@@ -36,7 +38,8 @@ class CellsAndNodes(NodalSpace):
         self.node_position[self.dofs] = self.corner
         self.node_halo.forward(self.node_position)
 
-    def at_cells(self, value, shape, time=None):
+    def at_cells(self, value: ArrayLike | Callable[[float, np.ndarray], ArrayLike], shape: tuple[int, ...],
+                 time: float | None = None) -> np.ndarray:
         """Cell means (cells, ...) of a constant, an array, or a function (time, points (cells, 3)); absent time: now.
 
         A function is called for one point of every cell at a time, d + 1 times, which is exact for quadratic functions.
@@ -53,18 +56,18 @@ class CellsAndNodes(NodalSpace):
             raise ValueError(f"A source at time {self.time:g} is not finite; give finite numbers.")
         return np.broadcast_to(value, shape)
 
-    def nodal_zeros(self, shape):
+    def nodal_zeros(self, shape: tuple[int, ...]) -> np.ndarray:
         """Zeros (nodes, *shape)."""
         return np.zeros((self.nodes, *shape))
 
     @cached_property
-    def node_volume(self):
+    def node_volume(self) -> np.ndarray:
         """(nodes, 1) volume that belongs to each node [m^3]; collective when it is first asked for."""
         total = self.nodal_zeros((1,))
         scatter(self.dofs, self.volume[:, None], total)
         self.complete(total)
         return total
 
-    def complete(self, *sums):
+    def complete(self, *sums: np.ndarray) -> None:
         """Make nodal sums of owned cells complete on every rank whose own cells have the node; elsewhere they stay zero."""
         self.sum_halo.complete(*sums)

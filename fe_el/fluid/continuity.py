@@ -55,7 +55,7 @@ class ClosedFlux:
 class Ledger:
     """What a fluid knows of its own balances."""
 
-    def mass_residual(self):
+    def mass_residual(self) -> float:
         """Largest nodal residual of continuity over the largest flux through a node (outlets left out)."""
         d = self.dimension
         residual, scale = self.nodal_zeros(()), self.nodal_zeros(())
@@ -67,13 +67,13 @@ class Ledger:
         largest = self.comm.allreduce(np.abs(residual).max(initial=0.0), op=MPI.MAX)
         return largest / max(self.comm.allreduce(scale.max(initial=0.0), op=MPI.MAX), 1e-300)
 
-    def momentum(self):
+    def momentum(self) -> np.ndarray:
         """Total fluid momentum (d,) [kg m/s]."""
         phi = np.ones(self.num_cells) if self.void_fraction is None else self.void_fraction
         q = self.velocity.x.array.reshape(-1, self.dimension)[:self.num_cells]
         return self.comm.allreduce((self.density * phi * self.volume) @ q)
 
-    def courant(self, dt):
+    def courant(self, dt: float) -> float:
         """Largest Courant number |u| dt / h."""
         dt, q = positive_number("time step", dt), self.velocity.x.array.reshape(-1, self.dimension)[:self.num_cells]
         return self.comm.allreduce(dt * (np.linalg.norm(q, axis=1) / self.h).max(initial=0.0), op=MPI.MAX)

@@ -1,10 +1,17 @@
 """Velocities of turbulent inlets: mean profiles over walls, and synthetic eddies on them, for ``set_velocity``."""
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fe_el.checks import finite_vector, numbers, positive_number, whole_number
 from fe_el.compiled.cache import njit
 from fe_el.compiled.random_numbers import uniform
 from fe_el.fluid.boundary_values import velocity_at
+
+if TYPE_CHECKING:
+    from fe_el.fluid.volume_averaged_navier_stokes import VolumeAveragedNavierStokes
 
 
 def _planes(walls):
@@ -28,11 +35,11 @@ class _Profile:
         if self.velocity.ndim != 1 or not np.linalg.norm(self.velocity) > 0:
             raise ValueError(f"The velocity is {self.velocity.tolist()}; give d numbers, not all zero.")
 
-    def distance(self, position):
+    def distance(self, position: np.ndarray) -> np.ndarray:
         """(points,) distance from the nearest wall [m]."""
         return np.maximum(np.min([(position - point) @ normal for point, normal in self.walls], axis=0), 0.0)
 
-    def __call__(self, time, position):
+    def __call__(self, time: float, position: np.ndarray) -> np.ndarray:
         """Velocity (points, d) [m/s]."""
         return self.share(self.distance(position))[:, None] * self.velocity
 
@@ -50,11 +57,12 @@ class PowerLaw(_Profile):
         ValueError: for numbers that are not positive, or no walls.
     """
 
-    def __init__(self, velocity, thickness, walls, exponent=1 / 7):
+    def __init__(self, velocity: ArrayLike, thickness: float, walls: Sequence[tuple[ArrayLike, ArrayLike]],
+                 exponent: float = 1 / 7) -> None:
         super().__init__(velocity, walls)
         self.thickness, self.exponent = positive_number("thickness", thickness), positive_number("exponent", exponent)
 
-    def share(self, distance):
+    def share(self, distance: np.ndarray) -> np.ndarray:
         """Part of U at distances from the wall."""
         return np.minimum(distance / self.thickness, 1.0) ** self.exponent
 
@@ -77,7 +85,8 @@ class LogLaw(_Profile):
         ValueError: for numbers that are not positive, or no walls.
     """
 
-    def __init__(self, velocity, thickness, kinematic_viscosity, walls, kappa=0.41, constant=5.2):
+    def __init__(self, velocity: ArrayLike, thickness: float, kinematic_viscosity: float,
+                 walls: Sequence[tuple[ArrayLike, ArrayLike]], kappa: float = 0.41, constant: float = 5.2) -> None:
         super().__init__(velocity, walls)
         self.thickness = positive_number("thickness", thickness)
         self.viscosity = positive_number("kinematic viscosity", kinematic_viscosity)
@@ -94,7 +103,7 @@ class LogLaw(_Profile):
         y = distance * self.friction_velocity / self.viscosity
         return np.minimum(y, np.where(y > 5.0, np.log(np.maximum(y, 1.0)) / self.kappa + self.constant, np.inf))
 
-    def share(self, distance):
+    def share(self, distance: np.ndarray) -> np.ndarray:
         """Part of the outer velocity at distances from the wall."""
         return self.friction_velocity * self._law(np.minimum(distance, self.thickness)) / self.speed
 
@@ -152,7 +161,9 @@ class SyntheticEddies:
         Collective, and so is each evaluation.
     """
 
-    def __init__(self, fluid, group, mean, intensity=0.05, length=None, seed=0):
+    def __init__(self, fluid: "VolumeAveragedNavierStokes", group: int | str,
+                 mean: ArrayLike | Callable[[float, np.ndarray], ArrayLike], intensity: ArrayLike = 0.05,
+                 length: float | None = None, seed: int = 0) -> None:
         self.fluid, self.mean, self.seed, d = fluid, mean, whole_number("seed", seed, 0), fluid.dimension
         self.length, self.intensity = positive_number("length of the eddies", length), numbers("intensity", intensity)
         if self.intensity.shape not in ((), (d,)) or not (self.intensity >= 0).all():
@@ -216,7 +227,7 @@ class SyntheticEddies:
             self._last = time, sums[0] / sums[1] if sums[1] else 0.0
         return self._last[1]
 
-    def __call__(self, time, position):
+    def __call__(self, time: float, position: np.ndarray) -> np.ndarray:
         """Velocity (points, d) [m/s]."""
         excess = self._excess(time)
         mean, size, out = self._raw(time, position)

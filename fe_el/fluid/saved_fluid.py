@@ -8,7 +8,7 @@ NODES = ("nodal_velocity", "force", "nodal_gain", "slip_force", "past_pressures"
 class SavedFluid:
     """What :class:`VolumeAveragedNavierStokes` keeps of itself and takes back."""
 
-    def saved(self):
+    def saved(self) -> dict[str, tuple]:
         """Fields of the fluid that the next step starts from."""
         n, own, d = self.num_cells, self.owned_nodes, self.dimension
         cells = {k: getattr(self, k) for k in CELLS if getattr(self, k) is not None}
@@ -19,7 +19,7 @@ class SavedFluid:
                                 "to_close": self._to_close, "drag_known": self.drag_known,
                                 "guess_order": self.guess_order})}
 
-    def restore(self, state):
+    def restore(self, state: dict[str, dict]) -> None:
         """Take the fields back."""
         n, own, d, same = self.num_cells, self.owned_nodes, self.dimension, state["same"]
         cells, nodes = state["cells"], state["nodes"]
@@ -42,6 +42,6 @@ class SavedFluid:
         self.time, self.dt = float(same["time"]), float(same["dt"])
         self.step, self._to_close = int(same["step"]), int(same["to_close"])
 
-    def anew(self):
+    def anew(self) -> None:
         """Let the next step make matrices and solvers anew, as a run that goes on from a checkpoint does."""
         self.as_new = True

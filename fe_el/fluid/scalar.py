@@ -1,8 +1,11 @@
 """Scalars carried by the flow: temperature, species."""
 import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from dolfinx import fem
+from numpy.typing import ArrayLike
 
 from fe_el.checks import number_or_function, numbers, of_kind, positive_number
 from fe_el.fluid import cell_kernels, kernels, node_kernels
@@ -12,6 +15,9 @@ from fe_el.nodes.linear_solver import LinearSolver
 from fe_el.nodes.nodal_kernels import scatter
 from fe_el.nodes.nodal_matrix import NodalMatrix
 from fe_el.nodes.work_arrays import WorkArrays
+
+if TYPE_CHECKING:
+    from fe_el.fluid.volume_averaged_navier_stokes import VolumeAveragedNavierStokes
 
 
 class Scalar:
@@ -45,7 +51,9 @@ class Scalar:
         Collective.
     """
 
-    def __init__(self, fluid, diffusivity, initial=0.0, name="scalar", tolerance=1e-10):
+    def __init__(self, fluid: "VolumeAveragedNavierStokes", diffusivity: float,
+                 initial: float | Callable[[np.ndarray], ArrayLike] = 0.0, name: str = "scalar",
+                 tolerance: float = 1e-10) -> None:
         self.fluid, self.diffusivity = of_kind("fluid", fluid, CellsAndNodes), positive_number("diffusivity", diffusivity)
         self.tolerance = positive_number("tolerance of a scalar's solver", tolerance)
         if not isinstance(name, str) or not name.isidentifier():
@@ -64,18 +72,18 @@ class Scalar:
         self.name, self.work, self._held, self._open = name, WorkArrays(), None, None
         self.outside = None  # (nodes,) values that come back in
 
-    def make_solver(self):
+    def make_solver(self) -> None:
         """A solver that knows nothing of earlier steps. Collective."""
         if self.solver is not None:
             self.solver.ksp.destroy()
         self.solver = LinearSolver(self.matrix.matrix, self.name, "bcgs", "jacobi", self.tolerance)
 
-    def set_value(self, group, value):
+    def set_value(self, group: int | str, value: float | Callable[[float], float]) -> None:
         """Fix the value on a boundary group: a number or a function of time."""
         self.fixed.append((self.fluid.boundary(group), number_or_function("value of a scalar on a boundary", value)))
         self._held = None
 
-    def set_inflow(self, group, value):
+    def set_inflow(self, group: int | str, value: float | Callable[[float], float]) -> None:
         """Value of what enters through a boundary group: a number or a function of time; fluid that leaves keeps its own."""
         self.inflow.append((self.fluid.boundary(group), number_or_function("value of a scalar that enters", value)))
 
@@ -110,7 +118,7 @@ class Scalar:
         node_kernels.pass_boundaries(nodes, air.owned_nodes, places, through, old, self.outside,
                                      0.5 if air.second_order else 1.0, self.matrix.values, rhs)
 
-    def advance(self, dt):
+    def advance(self, dt: float) -> None:
         """Advance by ``dt`` [s], the step that the fluid has just made.
 
         Raises:
@@ -168,21 +176,21 @@ class Scalar:
                                      work.empty("no_correction", air.nodes, 1))
         self.value.x.array[:] = new[:, 0]
 
-    def total(self):
+    def total(self) -> float:
         """Integral of rho phi c over the domain."""
         air = self.fluid
         means = self.value.x.array[air.dofs].mean(1)
         phi = air.void_fractions[1]
         return air.comm.allreduce(float((air.density * phi * air.volume) @ means))
 
-    def saved(self):
+    def saved(self) -> dict[str, tuple]:
         """The nodal values."""
         own, values = self.fluid.owned_nodes, {"value": self.value.x.array}
         if self.outside is not None:
             values["outside"] = self.outside
         return {"nodes": (self.fluid.node_position[:own], {name: a[:own] for name, a in values.items()})}
 
-    def restore(self, state):
+    def restore(self, state: dict[str, dict]) -> None:
         """Take the values back."""
         air, nodes = self.fluid, state["nodes"]
         self.value.x.array[:air.owned_nodes] = nodes["value"]
@@ -193,6 +201,6 @@ class Scalar:
             self.outside[:air.owned_nodes] = nodes["outside"]
             air.node_halo.forward(self.outside)
 
-    def anew(self):
+    def anew(self) -> None:
         """Make the solver anew."""
         self.make_solver()

@@ -70,7 +70,7 @@ class Streamline:
 
     upwind = False
 
-    def __init__(self, factor=1.0):
+    def __init__(self, factor: float = 1.0) -> None:
         self.factor = positive_number("factor of Streamline", factor)
 
     def __call__(self, air, share, flux, u, matrix, rhs):

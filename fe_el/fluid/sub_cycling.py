@@ -1,10 +1,16 @@
 """Several steps of the fluid for one exchange with the particles."""
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
 import numpy as np
 from dolfinx import fem
 
 from fe_el.checks import of_kind, positive_number, whole_number
 from fe_el.dolfinx_api import scalar_space
 from fe_el.fluid.cells_and_nodes import CellsAndNodes
+
+if TYPE_CHECKING:
+    from fe_el.fluid.volume_averaged_navier_stokes import VolumeAveragedNavierStokes
 
 
 class SubCycled:
@@ -36,7 +42,8 @@ class SubCycled:
         Collective.
     """
 
-    def __init__(self, fluid, steps=None, courant=None, most=64):
+    def __init__(self, fluid: "VolumeAveragedNavierStokes", steps: int | None = None, courant: float | None = None,
+                 most: int = 64) -> None:
         of_kind("fluid", fluid, CellsAndNodes)
         if (steps is None) == (courant is None):
             raise ValueError(f"Give a sub-cycled fluid steps= or courant=, not steps={steps!r} and courant={courant!r}.")
@@ -50,7 +57,7 @@ class SubCycled:
         self.mean_velocity = fem.Function(fluid.velocity.function_space, name="mean_velocity")
         self.mean_pressure = fem.Function(fluid.space, name="mean_pressure")
 
-    def advance(self, dt, fields):
+    def advance(self, dt: float, fields: Sequence[fem.Function]) -> None:
         """Advance by ``dt`` [s]; ``fields`` and errors are those of the fluid's own ``advance``.
 
         Note:
@@ -71,7 +78,7 @@ class SubCycled:
         self.mean_velocity.x.array[:], self.mean_pressure.x.array[:] = velocity / count, pressure / count
         self.steps_last = count
 
-    def saved(self):
+    def saved(self) -> dict[str, tuple]:
         """The means over the last step, for a checkpoint."""
         air, d = self.fluid, self.fluid.dimension
         velocity, pressure = self.mean_velocity.x.array.reshape(-1, d), self.mean_pressure.x.array
@@ -79,7 +86,7 @@ class SubCycled:
                 "nodes": (air.node_position[:air.owned_nodes], {"pressure": pressure[:air.owned_nodes]}),
                 "same": (None, {"steps_last": self.steps_last})}
 
-    def restore(self, state):
+    def restore(self, state: dict[str, dict]) -> None:
         """Take them back."""
         air, d = self.fluid, self.fluid.dimension
         self.mean_velocity.x.array.reshape(-1, d)[:air.num_cells] = state["cells"]["velocity"]

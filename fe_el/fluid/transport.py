@@ -10,15 +10,15 @@ from fe_el.parallel.messages import largest
 class Transport:
     """Convection and viscosity by the nodal velocity, of a fluid of cells and nodes."""
 
-    def numbers_of_step(self, dt):
+    def numbers_of_step(self, dt: float) -> Step:
         """A step of ``dt`` [s], for the loops."""
         return Step(float(dt), float(self.density), self.viscosity / self.density, self.upwind)
 
-    def memory(self):
+    def memory(self) -> Memory:
         """What the nodes do not carry, for the loops."""
         return Memory(self.gain, self.nodal_gain, self.fades, self.theta, self.lag)
 
-    def theta_of(self, diffusivity, dt):
+    def theta_of(self, diffusivity: float | np.ndarray, dt: float) -> np.ndarray:
         """Implicit part (cells,) of transport: 1/2, and more where diffusion is so fast that half a step of it would only
         ring."""
         if not self.second_order:

@@ -3,11 +3,16 @@
 A closure is any callable ``closure(fluid, u)`` that gives the (cells,) eddy viscosity [m^2/s] of the nodal velocity u
 (nodes, d). The filter width D is the cube root of the cell's volume, in two dimensions the square root of its area.
 """
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from fe_el.checks import positive_number
 from fe_el.compiled.cache import njit
 from fe_el.compiled.for_each_dimension import FAST, D, by_dimension
+
+if TYPE_CHECKING:
+    from fe_el.fluid.volume_averaged_navier_stokes import VolumeAveragedNavierStokes
 
 
 @njit(fastmath=FAST)
@@ -85,7 +90,7 @@ class _Closure:
     def __init__(self, constant):
         self.constant = positive_number(f"{self.name} constant", constant)
 
-    def __call__(self, fluid, u):
+    def __call__(self, fluid: "VolumeAveragedNavierStokes", u: np.ndarray) -> np.ndarray:
         """(cells,) eddy viscosity [m^2/s]."""
         out, width = np.empty(fluid.num_cells), fluid.h / (2 ** 0.5 if fluid.dimension == 2 else 6 ** (1 / 3))
         self.loop(fluid.dofs, fluid.gradient, u, width, self.constant, out)
@@ -104,7 +109,7 @@ class Smagorinsky(_Closure):
 
     name, loop = "Smagorinsky", staticmethod(_smagorinsky)
 
-    def __init__(self, constant=0.17):
+    def __init__(self, constant: float = 0.17) -> None:
         super().__init__(constant)
 
 
@@ -120,7 +125,7 @@ class Vreman(_Closure):
 
     name, loop = "Vreman", staticmethod(_vreman)
 
-    def __init__(self, constant=0.07):
+    def __init__(self, constant: float = 0.07) -> None:
         super().__init__(constant)
 
 
@@ -136,5 +141,5 @@ class Wale(_Closure):
 
     name, loop = "WALE", staticmethod(_wale)
 
-    def __init__(self, constant=0.325):
+    def __init__(self, constant: float = 0.325) -> None:
         super().__init__(constant)

@@ -1,8 +1,11 @@
 """The volume-averaged Navier-Stokes equations, model A, by a cell-node scheme on simplices."""
 import time
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from dolfinx import fem
+from numpy.typing import ArrayLike
 
 from fe_el.checks import components, function_or_class_of, not_negative_number, positive_number, require_mesh, require_tags
 from fe_el.dolfinx_api import vector_space
@@ -19,6 +22,11 @@ from fe_el.fluid.transport import Transport
 from fe_el.nodes.linear_solver import LinearSolver
 from fe_el.nodes.nodal_matrix import NodalMatrix
 from fe_el.parallel.exchange import Halo
+
+if TYPE_CHECKING:
+    from dolfinx.mesh import Mesh, MeshTags
+
+    from fe_el.fluid.stabilisation import Streamline, Upwind
 
 START_STEPS = 2  # implicit Euler steps that damp a start which does not fit its boundary conditions
 
@@ -62,9 +70,10 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport, S
         Collective.
     """
 
-    def __init__(self, mesh, facet_tags=None, density=1.2, viscosity=1.8e-5, gravity=None, tolerance=1e-8,
-                 mean_pressure_gradient=None, stress_of_mixture=False, turbulence=None, time_order=2,
-                 stabilisation=None):
+    def __init__(self, mesh: "Mesh", facet_tags: "MeshTags | None" = None, density: float = 1.2, viscosity: float = 1.8e-5,
+                 gravity: ArrayLike | None = None, tolerance: float = 1e-8, mean_pressure_gradient: ArrayLike | None = None,
+                 stress_of_mixture: bool = False, turbulence: Callable[[Any, np.ndarray], np.ndarray] | None = None,
+                 time_order: int = 2, stabilisation: "Streamline | Upwind | None" = None) -> None:
         require_mesh(mesh)
         CellsAndNodes.__init__(self, mesh)
         if facet_tags is not None:
@@ -101,7 +110,7 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport, S
         self.body_force = self.mass_source = self.eddy_viscosity = None
         self.drag_known = False  # whether drag_gain holds what drag gave in the last step
 
-    def memory_at_rest(self):
+    def memory_at_rest(self) -> dict[str, np.ndarray | None]:
         """What a step takes over from the last beside velocity and pressure, by name, before the first step."""
         n, d, nodes = self.num_cells, self.dimension, self.nodes
         none = dict.fromkeys(("void_fraction", "_last_flux", "nodal_velocity", "last_force"))
@@ -109,7 +118,7 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport, S
                 **{name: np.zeros((n, d)) for name in ("gain", "fades", "drag_gain")},
                 **{name: np.zeros((nodes, d)) for name in ("force", "nodal_gain", "slip_force", "last_change")}}
 
-    def set_initial_velocity(self, value):
+    def set_initial_velocity(self, value: ArrayLike | Callable[[float, np.ndarray], ArrayLike]) -> None:
         """Interstitial velocity at the start: d numbers, or a function (time, position) as for inlets."""
         v = velocity_at(value, self.time, self.corner.mean(1), self.dimension)
         self.velocity.x.array.reshape(-1, self.dimension)[:self.num_cells] = v
@@ -132,7 +141,8 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport, S
 
     # -- one step ------------------------------------------------------------------------------------------------------
 
-    def advance(self, dt, fields=None, pressure_share=None):
+    def advance(self, dt: float, fields: Sequence[fem.Function] | None = None,
+                pressure_share: np.ndarray | None = None) -> None:
         """Advance by ``dt`` [s].
 
         Args:

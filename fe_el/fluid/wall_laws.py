@@ -41,11 +41,11 @@ class Spalding:
         ValueError: for numbers that are not positive.
     """
 
-    def __init__(self, kappa=0.4, constant=5.5):
+    def __init__(self, kappa: float = 0.4, constant: float = 5.5) -> None:
         self.kappa = positive_number("von Karman's constant (kappa)", kappa)
         self.constant = positive_number("constant of the wall law", constant)
 
-    def __call__(self, speed, distance, density, viscosity):
+    def __call__(self, speed: np.ndarray, distance: np.ndarray, density: float, viscosity: float) -> np.ndarray:
         """Wall stress over speed (facets,) [Pa s/m] at speeds (facets,) [m/s] along the wall and distances (facets,) [m]
         from it."""
         out = np.empty(len(speed))

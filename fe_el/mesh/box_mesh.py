@@ -1,4 +1,5 @@
 """Boxes of simplices with tagged sides, for scripts."""
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -26,7 +27,8 @@ def _on_side(k, at, tolerance, x):
     return np.abs(x[k] - at) < tolerance
 
 
-def box(lengths, cells, comm=MPI.COMM_WORLD, slices_along=None):
+def box(lengths: Sequence[float], cells: Sequence[int], comm: MPI.Comm = MPI.COMM_WORLD,
+        slices_along: int | None = None) -> "tuple[dmesh.Mesh, dmesh.MeshTags]":
     """A rectangle (crossed triangles) or box (tetrahedra) from the origin.
 
     Args:

@@ -2,6 +2,7 @@
 import re
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from mpi4py import MPI
@@ -11,8 +12,12 @@ from fe_el.dolfinx_api import tags_by_vertices
 from fe_el.mesh.partition import create_mesh
 from fe_el.parallel.failures import end_all_ranks_on_errors
 
+if TYPE_CHECKING:
+    from dolfinx.mesh import Mesh, MeshTags
 
-def read_mesh(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None, scale=1.0):
+
+def read_mesh(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, dimension: int = 3, slices_along: int | None = None,
+              scale: float = 1.0) -> "tuple[Mesh, MeshTags, MeshTags]":
     """Read a gmsh ``.msh`` file with physical groups: (mesh, cell tags, facet tags).
 
     ``slices_along`` (0, 1 or 2) gives every rank a slice across that axis; absent: dolfinx partitions by the graph of cells.
@@ -43,7 +48,8 @@ def read_mesh(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None, scale=1
     return _from_gmsh(gmsh, comm, dimension, slices_along, scale)
 
 
-def mesh_geo(path, comm=MPI.COMM_WORLD, dimension=3, slices_along=None, **parameters):
+def mesh_geo(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, dimension: int = 3, slices_along: int | None = None,
+             **parameters: float) -> "tuple[Mesh, MeshTags, MeshTags]":
     """Mesh a gmsh ``.geo`` file with the given values of its parameters: (mesh, cell tags, facet tags).
 
     Raises:

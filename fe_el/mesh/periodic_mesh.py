@@ -3,6 +3,8 @@
 The topology is built from wrapped vertex numbers, the geometry is kept cell by cell with unwrapped coordinates. So facets,
 ghosts, function spaces and the walk of particles see the wrap by themselves, and cost nothing at run time.
 """
+from collections.abc import Sequence
+
 import numpy as np
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
@@ -44,7 +46,8 @@ def _cellwise_geometry(cell_x):
     return out
 
 
-def periodic_box(lengths, cells, periodic=None, comm=MPI.COMM_WORLD, slices_along=None):
+def periodic_box(lengths: Sequence[float], cells: Sequence[int], periodic: Sequence[bool] | None = None,
+                 comm: MPI.Comm = MPI.COMM_WORLD, slices_along: int | None = None) -> "tuple[dmesh.Mesh, dmesh.MeshTags]":
     """A rectangle (crossed triangles) or box (tetrahedra) from the origin, periodic in the chosen directions.
 
     Args:

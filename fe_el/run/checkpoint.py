@@ -4,6 +4,7 @@ import io
 import os
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ HEADER = 512  # bytes before what HDF5 reads
 STRAY = 600  # [s] after which the part of a file that a killed run left is removed
 
 
-def save_checkpoint(path, *parts, **numbers):
+def save_checkpoint(path: str | Path, *parts: Any, **numbers: Any) -> None:
     """Write the state of particles, contacts, fluid, scalars, inlets and observers to an HDF5 file.
 
     The file is complete or not there: it gets its name when it is written, and begins with a checksum. The run that wrote it
@@ -99,7 +100,7 @@ def _header(content):
     return text.encode().ljust(HEADER, b"\0")
 
 
-def load_checkpoint(path, *parts):
+def load_checkpoint(path: str | Path, *parts: Any) -> dict[str, Any]:
     """Give the parts of a run, set up as when it was saved, the state in a file; returns the numbers kept with it.
 
     Args:

@@ -2,6 +2,7 @@
 import math
 import sys
 from pathlib import Path
+from typing import Any
 
 from fe_el.checks import positive_number
 from fe_el.run.checkpoint import comm_of, load_checkpoint, save_checkpoint
@@ -37,7 +38,8 @@ class Checkpoints:
         Collective.
     """
 
-    def __init__(self, path, *parts, every=None, restart=None, wall_time=None):
+    def __init__(self, path: str | Path, *parts: Any, every: float | None = None, restart: bool | str | Path | None = None,
+                 wall_time: float | None = None) -> None:
         self.path, self.parts, self.comm, self.time = Path(path), parts, comm_of(parts), 0.0
         self.every = None if every is None else positive_number("time between checkpoints (every)", every)
         origin = self._origin(restart)
@@ -61,14 +63,14 @@ class Checkpoints:
             print(f"There is no checkpoint {self.path} yet: the run begins.", file=sys.stderr)
         return self.path if there else None
 
-    def __enter__(self):
+    def __enter__(self) -> "Checkpoints":
         self._stop.__enter__()
         return self
 
     def __exit__(self, kind, error, trace):
         return self._stop.__exit__(kind, error, trace)
 
-    def after(self, time):
+    def after(self, time: float) -> None:
         """Write the state if it is time to, and end the run if it was told to stop; at the end of every step. Collective."""
         self.time = time
         if self.every is not None and self._number(time) > self._number(self._saved):
@@ -78,7 +80,7 @@ class Checkpoints:
     def _number(self, time):
         return math.floor(time / self.every + 1e-6)
 
-    def save(self):
+    def save(self) -> None:
         """Write the state of the last :meth:`after` now, unless it is written already. Collective."""
         if self.time != self._saved:
             save_checkpoint(self.path, *self.parts, time=self.time)

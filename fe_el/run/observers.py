@@ -1,10 +1,18 @@
 """What one wants to know of a run: values at points, time averages and variances of fields."""
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fe_el import checks
 from fe_el.checks import function_of_mesh, positive_number, same_mesh
 from fe_el.dolfinx_api import dof_table, element_of
 from fe_el.mesh.cell_mesh import barycentric_maps, owned_corners
+
+if TYPE_CHECKING:
+    from dolfinx import fem
+    from dolfinx.mesh import Mesh
 
 
 class Probe:
@@ -24,7 +32,7 @@ class Probe:
         Collective.
     """
 
-    def __init__(self, functions, points):
+    def __init__(self, functions: "Sequence[fem.Function]", points: ArrayLike) -> None:
         if not isinstance(functions, (list, tuple)) or not functions:
             raise ValueError(f"The functions of a probe are {str(functions)[:60]!r}; give a list of at least one Function.")
         self.functions, self.rows = [function_of_mesh("function of a probe", f) for f in functions], []
@@ -49,7 +57,7 @@ class Probe:
         first = np.argmax(found, axis=0)
         self.mine = np.flatnonzero(first == self.comm.rank)
 
-    def values(self):
+    def values(self) -> list[np.ndarray]:
         """One array (points, components) per function, on every rank."""
         out = []
         for f in self.functions:
@@ -65,22 +73,22 @@ class Probe:
         return out
 
     @property
-    def mesh(self):
+    def mesh(self) -> "Mesh":
         """The mesh of the functions."""
         return self.functions[0].function_space.mesh
 
-    def saved(self):
+    def saved(self) -> dict[str, tuple]:
         """What was recorded, for a checkpoint."""
         rows = {f"values_{k}": np.array([row[1 + k] for row in self.rows]) for k in range(len(self.functions))}
         return {"same": (None, {"time": np.array([row[0] for row in self.rows], float), **rows})}
 
-    def restore(self, state):
+    def restore(self, state: dict[str, dict]) -> None:
         """Take it back."""
         same = state["same"]
         self.rows = [(float(t), *(same[f"values_{k}"][n] for k in range(len(self.functions))))
                      for n, t in enumerate(same["time"])]
 
-    def record(self, time):
+    def record(self, time: float) -> None:
         """Keep the values at ``time``."""
         self.rows.append((time, *self.values()))
 
@@ -95,11 +103,11 @@ class TimeAverage:
         mean, variance: arrays like ``function.x.array``; duration (float): time averaged over [s].
     """
 
-    def __init__(self, function):
+    def __init__(self, function: "fem.Function") -> None:
         self.function, self.duration = function_of_mesh("function to average", function), 0.0
         self.mean, self._sum = np.zeros_like(function.x.array), np.zeros_like(function.x.array)
 
-    def add(self, dt):
+    def add(self, dt: float) -> None:
         """Add the present values with weight ``dt`` [s]."""
         dt = positive_number("time step", dt)
         self.duration += dt
@@ -108,23 +116,23 @@ class TimeAverage:
         self._sum += dt * change * (self.function.x.array - self.mean)
 
     @property
-    def variance(self):
+    def variance(self) -> np.ndarray:
         """Variance over the time so far."""
         return self._sum / max(self.duration, 1e-300)
 
     @property
-    def mesh(self):
+    def mesh(self) -> "Mesh":
         """The mesh of the function."""
         return self.function.function_space.mesh
 
-    def saved(self):
+    def saved(self) -> dict[str, tuple]:
         """Mean and sum of squares at the places of the owned values, for a checkpoint."""
         space = self.function.function_space
         own, size = space.dofmap.index_map.size_local, space.dofmap.index_map_bs
         rows = {name: a.reshape(-1, size)[:own] for name, a in (("mean", self.mean), ("sum", self._sum))}
         return {"values": (space.tabulate_dof_coordinates()[:own], rows), "same": (None, {"duration": self.duration})}
 
-    def restore(self, state):
+    def restore(self, state: dict[str, dict]) -> None:
         """Take them back."""
         vector = self.function.x
         present, own = vector.array.copy(), state["values"]["mean"].size

@@ -2,7 +2,9 @@
 import re
 import sys
 import time as time_now
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import meshio
 import numpy as np
@@ -13,6 +15,12 @@ from fe_el.mesh.cell_mesh import owned_corners
 from fe_el.parallel.exchange import raise_everywhere
 from fe_el.parallel.failures import PATIENCE, wait_for_all
 from fe_el.run.stopping import STOPPED
+
+if TYPE_CHECKING:
+    from dolfinx import fem
+
+    from fe_el.particles.contacts.contacts import Contacts
+    from fe_el.particles.particles import Particles
 
 WRITTEN = ("velocity", "angular_velocity", "diameter", "density", "material", "id", "coarse_graining", "force",
            "contact_force")  # of the particles, beside the user's properties
@@ -49,7 +57,8 @@ class ParaViewOutput:
         Collective.
     """
 
-    def __init__(self, folder, particles=None, fields=(), every=None, contacts=None):
+    def __init__(self, folder: str | Path, particles: "Particles | None" = None, fields: "Sequence[fem.Function]" = (),
+                 every: float | None = None, contacts: "Contacts | None" = None) -> None:
         if not isinstance(folder, (str, Path)):
             raise ValueError(f"The folder of the output is {folder!r}; give its name.")
         if not isinstance(fields, (list, tuple)) or particles is None and not fields:
@@ -71,7 +80,7 @@ class ParaViewOutput:
             self.points, m = corner.reshape(-1, 3), corner.shape[1]
             self.cells = [({3: "triangle", 4: "tetra"}[m], np.arange(len(corner) * m).reshape(-1, m))]
 
-    def write(self, time):
+    def write(self, time: float) -> None:
         """Write the state at ``time`` [s], unless the last output is more recent than ``every``."""
         time, tick = finite_number("time of the output", time), time_now.perf_counter()
         if self.guarding:
@@ -82,7 +91,7 @@ class ParaViewOutput:
             self._write(time, self._particle_data(), self._contact_data(), [f.x.array for f in self.fields])
         self.seconds["output"] += time_now.perf_counter() - tick
 
-    def __enter__(self):
+    def __enter__(self) -> "ParaViewOutput":
         self.guarding = True
         return self
 
@@ -100,11 +109,11 @@ class ParaViewOutput:
                 print(f"The run stopped after time {time:g} s; {said}.", file=sys.stderr)
         return False
 
-    def saved(self):
+    def saved(self) -> dict[str, tuple]:
         """When the next frame is due, for a checkpoint."""
         return {"same": (None, {"next_time": self.next_time})}
 
-    def restore(self, state):
+    def restore(self, state: dict[str, dict]) -> None:
         """Take it back."""
         self.next_time = float(state["same"]["next_time"])
 

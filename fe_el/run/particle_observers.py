@@ -1,11 +1,18 @@
 """What one wants to know of a jet or a bed: averages of mapped particle fields, profiles, and mass through planes."""
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 from dolfinx import fem
+from numpy.typing import ArrayLike
 
 from fe_el.checks import finite_vector, numbers, positive_number, whole_number
 from fe_el.coupling.mapping import mapping_of
 from fe_el.dolfinx_api import scalar_space, vector_space
 from fe_el.parallel.exchange import sums_of
+
+if TYPE_CHECKING:
+    from fe_el.particles.particles import Particles
 
 
 class ParticleFieldAverage:
@@ -22,14 +29,15 @@ class ParticleFieldAverage:
         Collective.
     """
 
-    def __init__(self, particles, mapping="overlap_volume", smoothing=None):
+    def __init__(self, particles: "Particles", mapping: str | Any = "overlap_volume",
+                 smoothing: Callable[[np.ndarray], np.ndarray] | None = None) -> None:
         self.particles, self.mapping, self.smoothing = particles, mapping_of(mapping), smoothing
         self.duration, self.mesh, d = 0.0, particles.mesh, particles.mesh.topology.dim
         # of solid fraction, concentration, flux, and mass times squared velocity per volume
         self._mean = np.zeros((particles.cells.owned, 2 + 2 * d))
         self._sum = np.zeros((particles.cells.owned, 1 + d))
 
-    def add(self, dt):
+    def add(self, dt: float) -> None:
         """Add the particles of now with weight ``dt`` [s]."""
         p, d = self.particles, self.mesh.topology.dim
         n, weight = p.cells.owned, positive_number("weight of an average", dt)
@@ -47,42 +55,42 @@ class ParticleFieldAverage:
         self._sum += weight * change[:, some] * (now - self._mean)[:, some]
 
     @property
-    def solid_fraction(self):
+    def solid_fraction(self) -> np.ndarray:
         """(owned cells,) mean solid fraction."""
         return self._mean[:, 0]
 
     @property
-    def concentration(self):
+    def concentration(self) -> np.ndarray:
         """(owned cells,) mean mass of particles per volume [kg/m^3]."""
         return self._mean[:, 1]
 
     @property
-    def flux(self):
+    def flux(self) -> np.ndarray:
         """(owned cells, d) mean mass flux of the particles [kg/(m^2 s)]."""
         return self._mean[:, 2:2 + self.mesh.topology.dim]
 
     @property
-    def velocity(self):
+    def velocity(self) -> np.ndarray:
         """(owned cells, d) mean velocity of the particles, by mass; zero where none came [m/s]."""
         return self.flux / np.maximum(self._mean[:, 1:2], 1e-300)
 
     @property
-    def velocity_variance(self):
+    def velocity_variance(self) -> np.ndarray:
         """(owned cells, d) variance of the velocities of the particles, by mass, over time and cell [m^2/s^2]."""
         square = self._mean[:, 2 + self.mesh.topology.dim:] / np.maximum(self._mean[:, 1:2], 1e-300)
         return np.maximum(square - self.velocity ** 2, 0.0)
 
     @property
-    def solid_fraction_variance(self):
+    def solid_fraction_variance(self) -> np.ndarray:
         """(owned cells,) variance over time."""
         return self._sum[:, 0] / max(self.duration, 1e-300)
 
     @property
-    def flux_variance(self):
+    def flux_variance(self) -> np.ndarray:
         """(owned cells, d) variance over time [kg^2/(m^4 s^2)]."""
         return self._sum[:, 1:] / max(self.duration, 1e-300)
 
-    def functions(self):
+    def functions(self) -> tuple[fem.Function, fem.Function]:
         """DG0 Functions of mean solid fraction and mean velocity, for output.
 
         Note:
@@ -95,13 +103,13 @@ class ParticleFieldAverage:
             function.x.scatter_forward()
         return out
 
-    def saved(self):
+    def saved(self) -> dict[str, tuple]:
         """Means and sums of squares of the cells, for a checkpoint."""
         cells = self.particles.cells
         return {"cells": (cells.corner[:cells.owned].mean(1), {"mean": self._mean, "sum": self._sum}),
                 "same": (None, {"duration": self.duration})}
 
-    def restore(self, state):
+    def restore(self, state: dict[str, dict]) -> None:
         """Take them back."""
         self._mean, self._sum = (np.array(state["cells"][name]) for name in ("mean", "sum"))
         self.duration = float(state["same"]["duration"])
@@ -128,7 +136,8 @@ class ParticleProfile:
         Collective.
     """
 
-    def __init__(self, particles, edges, quantity, along=0):
+    def __init__(self, particles: "Particles", edges: ArrayLike, quantity: "Callable[[Particles], ArrayLike]",
+                 along: int = 0) -> None:
         self.particles, self.mesh, self.quantity = particles, particles.mesh, quantity
         self.edges, self.along, self.duration = numbers("edges of the slabs", edges), whole_number("axis", along, 0), 0.0
         if self.edges.ndim != 1 or len(self.edges) < 2 or not (np.diff(self.edges) > 0).all():
@@ -136,7 +145,7 @@ class ParticleProfile:
         self.middle = 0.5 * (self.edges[1:] + self.edges[:-1])
         self._sums = np.zeros((3, len(self.middle)))
 
-    def add(self, dt):
+    def add(self, dt: float) -> None:
         """Add the particles of now with weight ``dt`` [s]."""
         p, weight = self.particles, positive_number("weight of an average", dt)
         slab = np.searchsorted(self.edges, p.position[:, self.along], side="right") - 1
@@ -147,27 +156,27 @@ class ParticleProfile:
         self.duration += weight
 
     @property
-    def mass(self):
+    def mass(self) -> np.ndarray:
         """(slabs,) mean mass of the particles in each slab [kg]."""
         return self._sums[0] / max(self.duration, 1e-300)
 
     @property
-    def mean(self):
+    def mean(self) -> np.ndarray:
         """(slabs,) mean of the quantity; not a number where no particle came."""
         with np.errstate(invalid="ignore"):
             return self._sums[1] / np.where(self._sums[0] > 0, self._sums[0], np.nan)
 
     @property
-    def deviation(self):
+    def deviation(self) -> np.ndarray:
         """(slabs,) standard deviation of the quantity over particles and time."""
         square = self._sums[2] / np.where(self._sums[0] > 0, self._sums[0], np.nan)
         return np.sqrt(np.maximum(square - self.mean ** 2, 0.0))
 
-    def saved(self):
+    def saved(self) -> dict[str, tuple]:
         """The sums over time, for a checkpoint."""
         return {"same": (None, {"sums": self._sums, "duration": self.duration})}
 
-    def restore(self, state):
+    def restore(self, state: dict[str, dict]) -> None:
         """Take them back."""
         self._sums, self.duration = np.array(state["same"]["sums"]), float(state["same"]["duration"])
 
@@ -193,7 +202,7 @@ class PlaneFlux:
         Collective.
     """
 
-    def __init__(self, particles, point, normal):
+    def __init__(self, particles: "Particles", point: ArrayLike, normal: ArrayLike) -> None:
         self.particles, self.mesh = particles, particles.mesh
         self.point, self.normal = finite_vector("point of a plane", point), finite_vector("normal of a plane", normal)
         if not np.linalg.norm(self.normal) > 0:
@@ -205,7 +214,7 @@ class PlaneFlux:
         self.mass, self.number, self.duration = 0.0, 0, 0.0
         self._side = f"_side_of_plane_{self.point.tolist()}_{self.normal.tolist()}"  # travels with the particles
 
-    def add(self, dt):
+    def add(self, dt: float) -> None:
         """Count what crossed in the last ``dt`` [s]."""
         p = self.particles
         now = np.where((p.position - self.point) @ self.normal > 0, 1.0, -1.0)
@@ -218,15 +227,15 @@ class PlaneFlux:
         self.duration += positive_number("weight of an average", dt)
 
     @property
-    def mass_rate(self):
+    def mass_rate(self) -> float:
         """Mean mass rate through the plane [kg/s]."""
         return self.mass / max(self.duration, 1e-300)
 
-    def saved(self):
+    def saved(self) -> dict[str, tuple]:
         """The counts, for a checkpoint; the sides are saved with the particles."""
         return {"same": (None, {"mass": self.mass, "number": self.number, "duration": self.duration})}
 
-    def restore(self, state):
+    def restore(self, state: dict[str, dict]) -> None:
         """Take them back."""
         same = state["same"]
         self.mass, self.number, self.duration = float(same["mass"]), int(same["number"]), float(same["duration"])

@@ -2,6 +2,8 @@
 import signal
 import sys
 import time
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -35,14 +37,14 @@ class StopAndSave:
         Collective. Signals reach the main thread of Python only.
     """
 
-    def __init__(self, save, wall_time=None, comm=MPI.COMM_WORLD):
+    def __init__(self, save: Callable[[], Any], wall_time: float | None = None, comm: MPI.Comm = MPI.COMM_WORLD) -> None:
         if not callable(save):
             raise ValueError(f"save is {save!r}; pass a function without arguments that writes the state.")
         self.save, self.comm, self.start = save, comm, time.monotonic()
         self.wall_time = np.inf if wall_time is None else positive_number("wall_time", wall_time)
         self.reason, self._before = 0, {}
 
-    def __enter__(self):
+    def __enter__(self) -> "StopAndSave":
         for number in (signal.SIGTERM, signal.SIGUSR1):
             self._before[number] = signal.signal(number, self._told)
         return self
@@ -55,7 +57,7 @@ class StopAndSave:
     def _told(self, number, frame):
         self.reason = int(number)
 
-    def check(self):
+    def check(self) -> None:
         """End the run if it was told to stop; once per step, at its end, where the state is whole. Collective."""
         mine = self.reason or (-1 if time.monotonic() - self.start > self.wall_time else 0)
         reasons = [r for r in self.comm.allgather(mine) if r]

@@ -5,11 +5,12 @@ import math
 import sys
 import warnings
 from pathlib import Path
+from typing import Any
 
 from mpi4py import MPI
 
 
-def stage_seconds(*parts):
+def stage_seconds(*parts: Any) -> dict[str, Any]:
     """Wall time of every active stage: ``seconds_per_stage`` and a flat ``seconds_<stage>`` each.
 
     Args:
@@ -33,7 +34,7 @@ def versions():
     return out
 
 
-def write_summary(folder, comm=MPI.COMM_WORLD, **numbers):
+def write_summary(folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, **numbers: Any) -> dict[str, Any]:
     """Write ``folder/summary.json`` with flat keys in SI units, ranks and versions; returns the dictionary.
 
     A number that is not finite stands there as null, and a warning names it.

@@ -1,5 +1,7 @@
 """Time loops with progress and the time left: equal steps, and steps that follow the Courant number."""
 import sys
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 from mpi4py import MPI
@@ -7,8 +9,12 @@ from tqdm import tqdm
 
 from fe_el.checks import finite_number, positive_number
 
+if TYPE_CHECKING:
+    from fe_el.fluid.volume_averaged_navier_stokes import VolumeAveragedNavierStokes
 
-def time_steps(dt, end_time, start=0.0, comm=MPI.COMM_WORLD, progress=True):
+
+def time_steps(dt: float, end_time: float, start: float = 0.0, comm: MPI.Comm = MPI.COMM_WORLD,
+               progress: bool = True) -> Iterator[float]:
     """Yield the times start + dt, start + 2 dt, ... up to end_time, with a progress bar and the time left.
 
     Raises:
@@ -48,7 +54,8 @@ class adaptive_steps:  # noqa: N801  called like time_steps
         Collective.
     """
 
-    def __init__(self, fluid, end_time, courant=0.5, first=None, largest=np.inf, growth=1.2, progress=True):
+    def __init__(self, fluid: "VolumeAveragedNavierStokes", end_time: float, courant: float = 0.5,
+                 first: float | None = None, largest: float = np.inf, growth: float = 1.2, progress: bool = True) -> None:
         if isinstance(fluid, type) or not hasattr(fluid, "courant") or not hasattr(fluid, "time"):
             raise ValueError(f"The fluid is {fluid!r}; pass an object of VolumeAveragedNavierStokes.")
         for name, value in (("Courant number (courant)", courant), ("end of the run (end_time)", end_time),
@@ -62,10 +69,10 @@ class adaptive_steps:  # noqa: N801  called like time_steps
         self.largest, self.growth, self.progress, self.dt = largest, growth, progress, None
         self._steps, self.time = None, None
 
-    def __iter__(self):
+    def __iter__(self) -> "adaptive_steps":
         return self
 
-    def __next__(self):
+    def __next__(self) -> tuple[float, float]:
         self._steps = self._steps or self._all()
         return next(self._steps)
 
@@ -89,12 +96,12 @@ class adaptive_steps:  # noqa: N801  called like time_steps
             raise ValueError("The fluid is at rest, so its Courant number gives no step; pass first= or largest= [s].")
         return left if dt > 0.999999 * left else min(dt, 0.5 * left) if dt > 0.5 * left else dt
 
-    def saved(self):
+    def saved(self) -> dict[str, tuple]:
         """The last step, for a checkpoint."""
         return {"same": (None, {name: np.nan if value is None else value
                                 for name, value in (("dt", self.dt), ("time", self.time))})}
 
-    def restore(self, state):
+    def restore(self, state: dict[str, dict]) -> None:
         """Take it back."""
         self.dt, self.time = (None if np.isnan(value) else float(value)
                               for value in (state["same"][name] for name in ("dt", "time")))
