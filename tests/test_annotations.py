@@ -49,9 +49,12 @@ def test_public_classes_and_functions_are_annotated():
     assert not faults_of(public_functions())
 
 
-def test_functions_of_public_modules_are_annotated():
-    """Those written in Python: compiled ones have no say in it."""
-    found = [f for name in MODULES for f in vars(getattr(fe_el, name)).values()
-             if inspect.isfunction(f) and f.__module__ == getattr(fe_el, name).__name__ and not f.__name__.startswith("_")]
+def test_public_modules_are_annotated():
+    """Their functions written in Python, compiled ones having no say in it, and their classes."""
+    found = []
+    for module in (getattr(fe_el, name) for name in MODULES):
+        for name, thing in vars(module).items():
+            if not name.startswith("_") and getattr(thing, "__module__", None) == module.__name__:
+                found += functions_of(thing) if inspect.isclass(thing) else [thing] if inspect.isfunction(thing) else []
     assert found
     assert not faults_of(found)

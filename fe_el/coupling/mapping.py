@@ -1,5 +1,6 @@
 """Mapping between particles and cells: which share w_ij of particle i belongs to cell j. The shares of a particle sum to
 one."""
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -271,9 +272,9 @@ def patch_volume(cells: "CellMesh") -> np.ndarray:
                        len(cells.vertex_start) - 1)
 
 
-MAPPINGS = {"overlap_volume": OverlapVolume, "satellite_points": SatellitePoints,
-            "cfdem_points": lambda: SatellitePoints(cfdem_points()), "particle_centred": ParticleCentred, "hat": HatKernel,
-            "well_mixed": WellMixed}
+MAPPINGS: dict[str, Callable[[], Any]] = {
+    "overlap_volume": OverlapVolume, "satellite_points": SatellitePoints, "hat": HatKernel, "well_mixed": WellMixed,
+    "cfdem_points": lambda: SatellitePoints(cfdem_points()), "particle_centred": ParticleCentred}
 
 
 def mapping_of(choice: str | Any) -> Any:

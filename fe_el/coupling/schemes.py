@@ -30,7 +30,7 @@ class Exchange(NamedTuple):
     late: np.ndarray          #: (particles,) share of the step after which a particle comes in; no rows: none does
 
     @property
-    def mean_beta(self):
+    def mean_beta(self) -> np.ndarray:
         """(particles, 1) mean over the step: what comes in late has no drag before that."""
         return self.beta * (1 - self.late[:, None]) if len(self.late) else self.beta
 
@@ -45,10 +45,10 @@ class Conservative:
     particle that is held, whose beta'_i is beta_i.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._work = WorkArrays()
 
-    def fields(self, x):
+    def fields(self, x: Exchange) -> tuple[np.ndarray, np.ndarray]:
         """A (cells, 1) and B (cells, d)."""
         (n, d), work = x.velocity.shape, self._work
         self.target, self.relaxation_rate = work.empty("target", n, d), work.empty("relaxation_rate", n)
@@ -59,7 +59,7 @@ class Conservative:
         out = x.to_cells(self.rate_and_source)
         return out[:, :1], out[:, 1:]
 
-    def force(self, fluid_velocity):
+    def force(self, fluid_velocity: np.ndarray) -> np.ndarray:
         """(particles, d) [N] from the fluid's new velocity at the particles."""
         force = self._work.empty("force", *self.target.shape)
         loops.drag_force(self.rate_and_source, self.target, fluid_velocity, force)
@@ -72,13 +72,13 @@ class Explicit:
 
     relaxation_rate = 0.0  # the force is constant over the step
 
-    def fields(self, x):
+    def fields(self, x: Exchange) -> tuple[np.ndarray, np.ndarray]:
         """A (cells, 1) and B (cells, d)."""
         self.drag = x.volume * x.mean_beta * (x.fluid_velocity - x.velocity)
         b = -x.to_cells(self.drag)
         return np.zeros((len(b), 1)), b
 
-    def force(self, fluid_velocity):
+    def force(self, fluid_velocity: np.ndarray) -> np.ndarray:
         """(particles, d) [N]: the old drag, whatever the new velocity is."""
         return self.drag
 
@@ -98,7 +98,7 @@ class Implicit(Explicit):
         mean = np.where(filled[:, None], sums[:, 1:] / np.where(filled, sums[:, 0], 1.0)[:, None], 0.0)
         return mean, filled
 
-    def fields(self, x):
+    def fields(self, x: Exchange) -> tuple[np.ndarray, np.ndarray]:
         """A (cells, 1) and B (cells, d)."""
         super().fields(x)
         a = x.to_cells(x.volume * x.mean_beta)
@@ -113,7 +113,7 @@ class ImplicitFromForce(Implicit):
     ``fluid_velocity="linear"``, which is what the paper has.
     """
 
-    def fields(self, x):
+    def fields(self, x: Exchange) -> tuple[np.ndarray, np.ndarray]:
         """A (cells, 1) and B (cells, d)."""
         Explicit.fields(self, x)
         mean = x.continue_mean(*self._mean(x))
@@ -126,7 +126,7 @@ class ImplicitFromForce(Implicit):
 class Split(Explicit):
     """Implicit in the cell, the rest explicit: B = -sum w F_i / V + A u_before (Radl et al. 2012)."""
 
-    def fields(self, x):
+    def fields(self, x: Exchange) -> tuple[np.ndarray, np.ndarray]:
         """A (cells, 1) and B (cells, d)."""
         _, b = super().fields(x)
         a = x.to_cells(x.volume * x.mean_beta)
@@ -136,7 +136,7 @@ class Split(Explicit):
 class VoidCellsExplicit(Implicit):
     """Eq. 8 in cells that hold particles, explicit in cells that only smoothing reaches; no mean velocity is continued."""
 
-    def fields(self, x):
+    def fields(self, x: Exchange) -> tuple[np.ndarray, np.ndarray]:
         """A (cells, 1) and B (cells, d)."""
         _, b = Explicit.fields(self, x)
         mean, filled = self._mean(x)
@@ -144,8 +144,9 @@ class VoidCellsExplicit(Implicit):
         return a, np.where(filled[:, None], a * mean, b)
 
 
-SCHEMES = {"conservative": Conservative, "explicit": Explicit, "implicit": Implicit,
-           "implicit_from_force": ImplicitFromForce, "split": Split, "void_cells_explicit": VoidCellsExplicit}
+SCHEMES: dict[str, Callable[[], Conservative | Explicit]] = {
+    "conservative": Conservative, "explicit": Explicit, "implicit": Implicit, "implicit_from_force": ImplicitFromForce,
+    "split": Split, "void_cells_explicit": VoidCellsExplicit}
 
 
 def scheme_of(name: str) -> Conservative | Explicit:

@@ -1,11 +1,17 @@
 """Stabilisation of convection, for flows that the mesh does not resolve; absent by default, as the scheme needs none to be
 stable."""
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from fe_el.checks import positive_number
 from fe_el.compiled.cache import njit
 from fe_el.compiled.for_each_dimension import D, M, by_dimension
 from fe_el.fluid.kernels import fading_rate
+
+if TYPE_CHECKING:
+    from fe_el.fluid.volume_averaged_navier_stokes import VolumeAveragedNavierStokes
+    from fe_el.nodes.nodal_matrix import NodalMatrix
 
 
 @by_dimension
@@ -73,7 +79,8 @@ class Streamline:
     def __init__(self, factor: float = 1.0) -> None:
         self.factor = positive_number("factor of Streamline", factor)
 
-    def __call__(self, air, share, flux, u, matrix, rhs):
+    def __call__(self, air: "VolumeAveragedNavierStokes", share: np.ndarray, flux: np.ndarray, u: np.ndarray,
+                 matrix: "NodalMatrix", rhs: np.ndarray) -> None:
         """Add the terms to the entries of a NodalMatrix and to the nodal right-hand side; collective."""
         mean = air.work.zeros("mean_convection", air.nodes, air.dimension)
         _convection(air.dofs, air.gradient, air.volume, flux, u, mean)

@@ -24,7 +24,7 @@ from fe_el.nodes.nodal_matrix import NodalMatrix
 from fe_el.parallel.exchange import Halo
 
 if TYPE_CHECKING:
-    from dolfinx.mesh import Mesh, MeshTags
+    from dolfinx.mesh import Mesh
 
     from fe_el.fluid.stabilisation import Streamline, Upwind
 
@@ -70,7 +70,7 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport, S
         Collective.
     """
 
-    def __init__(self, mesh: "Mesh", facet_tags: "MeshTags | None" = None, density: float = 1.2, viscosity: float = 1.8e-5,
+    def __init__(self, mesh: "Mesh", facet_tags: Any = None, density: float = 1.2, viscosity: float = 1.8e-5,
                  gravity: ArrayLike | None = None, tolerance: float = 1e-8, mean_pressure_gradient: ArrayLike | None = None,
                  stress_of_mixture: bool = False, turbulence: Callable[[Any, np.ndarray], np.ndarray] | None = None,
                  time_order: int = 2, stabilisation: "Streamline | Upwind | None" = None) -> None:

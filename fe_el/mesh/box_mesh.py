@@ -1,6 +1,7 @@
 """Boxes of simplices with tagged sides, for scripts."""
 from collections.abc import Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 from dolfinx import mesh as dmesh
@@ -27,8 +28,8 @@ def _on_side(k, at, tolerance, x):
     return np.abs(x[k] - at) < tolerance
 
 
-def box(lengths: Sequence[float], cells: Sequence[int], comm: MPI.Comm = MPI.COMM_WORLD,
-        slices_along: int | None = None) -> "tuple[dmesh.Mesh, dmesh.MeshTags]":
+def box(lengths: Sequence[float] | np.ndarray, cells: Sequence[int], comm: MPI.Comm = MPI.COMM_WORLD,
+        slices_along: int | None = None) -> tuple[dmesh.Mesh, Any]:
     """A rectangle (crossed triangles) or box (tetrahedra) from the origin.
 
     Args:

@@ -2,7 +2,7 @@
 import re
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mpi4py import MPI
@@ -13,11 +13,11 @@ from fe_el.mesh.partition import create_mesh
 from fe_el.parallel.failures import end_all_ranks_on_errors
 
 if TYPE_CHECKING:
-    from dolfinx.mesh import Mesh, MeshTags
+    from dolfinx.mesh import Mesh
 
 
 def read_mesh(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, dimension: int = 3, slices_along: int | None = None,
-              scale: float = 1.0) -> "tuple[Mesh, MeshTags, MeshTags]":
+              scale: float = 1.0) -> "tuple[Mesh, Any, Any]":
     """Read a gmsh ``.msh`` file with physical groups: (mesh, cell tags, facet tags).
 
     ``slices_along`` (0, 1 or 2) gives every rank a slice across that axis; absent: dolfinx partitions by the graph of cells.
@@ -49,7 +49,7 @@ def read_mesh(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, dimension: int 
 
 
 def mesh_geo(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, dimension: int = 3, slices_along: int | None = None,
-             **parameters: float) -> "tuple[Mesh, MeshTags, MeshTags]":
+             **parameters: float) -> "tuple[Mesh, Any, Any]":
     """Mesh a gmsh ``.geo`` file with the given values of its parameters: (mesh, cell tags, facet tags).
 
     Raises:

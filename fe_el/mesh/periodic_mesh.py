@@ -4,6 +4,7 @@ The topology is built from wrapped vertex numbers, the geometry is kept cell by 
 ghosts, function spaces and the walk of particles see the wrap by themselves, and cost nothing at run time.
 """
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from dolfinx import mesh as dmesh
@@ -46,8 +47,8 @@ def _cellwise_geometry(cell_x):
     return out
 
 
-def periodic_box(lengths: Sequence[float], cells: Sequence[int], periodic: Sequence[bool] | None = None,
-                 comm: MPI.Comm = MPI.COMM_WORLD, slices_along: int | None = None) -> "tuple[dmesh.Mesh, dmesh.MeshTags]":
+def periodic_box(lengths: Sequence[float] | np.ndarray, cells: Sequence[int], periodic: Sequence[bool] | None = None,
+                 comm: MPI.Comm = MPI.COMM_WORLD, slices_along: int | None = None) -> tuple[dmesh.Mesh, Any]:
     """A rectangle (crossed triangles) or box (tetrahedra) from the origin, periodic in the chosen directions.
 
     Args:

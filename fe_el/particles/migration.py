@@ -20,6 +20,23 @@ class LostParticle(RuntimeError):
 class Migration:
     """What :class:`Particles` do to find their cells and to change rank."""
 
+    position: np.ndarray  # what FIELDS and INTEGERS name, for type checkers
+    velocity: np.ndarray
+    angular_velocity: np.ndarray
+    diameter: np.ndarray
+    density: np.ndarray
+    force: np.ndarray
+    contact_force: np.ndarray
+    contact_torque: np.ndarray
+    mean_contact_force: np.ndarray
+    number: np.ndarray
+    relaxation_rate: np.ndarray
+    cell: np.ndarray
+    id: np.ndarray
+    material: np.ndarray
+    held: np.ndarray
+    properties: dict[str, np.ndarray]
+
     def reach_halo(self, width: float) -> None:
         """Make the halo of cells at least ``width`` wide [m]."""
         if width > self.halo_width:

@@ -60,7 +60,7 @@ class Particles(SavedParticles, Migration, Held):
         self._room = {}  # memory of the arrays, longer than they are
         self.reach_halo(0.0)
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.id)
 
     @property
