@@ -51,6 +51,8 @@ class Scalar:
         Collective.
     """
 
+    source: ArrayLike | Callable[[float, np.ndarray], ArrayLike] | None
+
     def __init__(self, fluid: "VolumeAveragedNavierStokes", diffusivity: float,
                  initial: float | Callable[[np.ndarray], ArrayLike] = 0.0, name: str = "scalar",
                  tolerance: float = 1e-10) -> None:

@@ -70,6 +70,10 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport, S
         Collective.
     """
 
+    body_force: ArrayLike | Callable[[float, np.ndarray], ArrayLike] | None
+    mass_source: ArrayLike | Callable[[float, np.ndarray], ArrayLike] | None
+    eddy_viscosity: np.ndarray | None
+
     def __init__(self, mesh: "Mesh", facet_tags: Any = None, density: float = 1.2, viscosity: float = 1.8e-5,
                  gravity: ArrayLike | None = None, tolerance: float = 1e-8, mean_pressure_gradient: ArrayLike | None = None,
                  stress_of_mixture: bool = False, turbulence: Callable[[Any, np.ndarray], np.ndarray] | None = None,

@@ -1,5 +1,5 @@
 """Walls: tagged boundary facets of the mesh, and planes and cylinders that may move."""
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -34,8 +34,9 @@ class _Wall:
     """
 
     #: (force (3,) [N], mass [kg]): the wall moves along this force, driven by it and by the particles; absent: not
-    load = None
-    drive = None  #: function time -> (velocity (3,), angular velocity (3,)); absent: they stay as they are
+    load: tuple[ArrayLike, float] | None = None
+    #: function time -> (velocity (3,), angular velocity (3,)); absent: they stay as they are
+    drive: Callable[[float], tuple[ArrayLike, ArrayLike]] | None = None
 
     def __init__(self, point, material, velocity, angular_velocity):
         self.material, self.point, self.velocity, self.angular_velocity = material, point, velocity, angular_velocity
