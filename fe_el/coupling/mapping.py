@@ -273,8 +273,9 @@ def patch_volume(cells: "CellMesh") -> np.ndarray:
 
 
 MAPPINGS: dict[str, Callable[[], Any]] = {
-    "overlap_volume": OverlapVolume, "satellite_points": SatellitePoints, "hat": HatKernel, "well_mixed": WellMixed,
-    "cfdem_points": lambda: SatellitePoints(cfdem_points()), "particle_centred": ParticleCentred}
+    "overlap_volume": OverlapVolume, "satellite_points": SatellitePoints,
+    "cfdem_points": lambda: SatellitePoints(cfdem_points()), "particle_centred": ParticleCentred, "hat": HatKernel,
+    "well_mixed": WellMixed}
 
 
 def mapping_of(choice: str | Any) -> Any:
