@@ -169,13 +169,15 @@ def test_output_has_what_paraview_is_to_show(folder):
     out.write(1.0)
     mesh.comm.barrier()
     ranks = range(mesh.comm.size)
-    beads, links = ([meshio.read(f"{folder}/{name}_00001_{r}.vtu") for r in ranks] for name in ("particles", "contacts"))
+    files = [[f"{folder}/{name}_00001_{r}.vtu" for r in ranks] for name in ("particles", "contacts")]
+    beads, links = ([meshio.read(file) for file in of if b'NumberOfPoints="0"' not in Path(file).read_bytes()]
+                    for of in files)  # meshio reads no piece without points
     data = {key: np.concatenate([p.point_data[key] for p in beads]) for key in beads[0].point_data}
     assert {"density", "material", "force", "contact_force", "id", "diameter", "coarse_graining"} <= set(data)
     assert sorted(data["density"]) == [1.0, 2.0, 3.0]
     assert np.sort(data["contact_force"][:, 2]) == pytest.approx([-0.02, 0.0, 0.02], abs=1e-9)
     lines = [c for p in links for block in p.cell_data["normal_force"] for c in block]
-    ends = np.concatenate([p.points for p in links if len(p.points)])
+    ends = np.concatenate([p.points for p in links])
     assert lines == pytest.approx([0.02]) and sorted(ends[:, 2]) == pytest.approx([0.009, 0.0098])
     text = Path(f"{folder}/fluid_00001_0.vtu").read_bytes()
     assert b"vtkZLibDataCompressor" in text and b'format="binary"' in text

@@ -9,7 +9,7 @@ RHO = 2500.0
 
 def stream(number=400, velocity=(1.0, 0.5, 0.0)):
     """Grains that fly through a box with one velocity."""
-    mesh, tags = fe_el.box((0.1, 0.1, 0.1), (4, 4, 4))
+    mesh, tags = fe_el.box((0.1, 0.1, 0.1), (4, 4, 4), slices_along=0)
     grains = fe_el.Particles(mesh, RHO)
     grains.insert_in_box((0.0, 0.0, 0.0), (0.05, 0.05, 0.1), number, 2e-3, seed=1, velocity=velocity)
     grains.remove_at(tags, (1, 2, 3, 4, 5, 6))

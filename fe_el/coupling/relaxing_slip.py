@@ -20,15 +20,15 @@ def over_step(coefficient, slip, density, span):
         span: (particles,) or a number, how long the drag acts [s].
     """
     rate = coefficient(slip) / density
-    steps = int(np.clip(np.ceil((rate * span).max(initial=0.0) / SUB_STEP), 1, MOST))
-    h, left, way = span / steps, np.ones_like(slip), np.zeros_like(slip)
+    own = np.clip(np.ceil(rate * span / SUB_STEP), 1, MOST)  # sub-steps of each particle, whatever others are there
+    steps, left, way, a = int(own.max(initial=1)), np.ones_like(slip), np.zeros_like(slip), np.zeros_like(slip)
     for n in range(steps):  # exponential midpoint rule
+        h = np.where(n < own, span / own, 0.0)
         rate = rate if n == 0 else coefficient(slip * left) / density
         rate = coefficient(slip * left * np.exp(-0.5 * h * rate)) / density
-        part = -np.expm1(-h * rate)
-        way += left * part / np.maximum(rate, 1e-300)
-        left *= 1 - part
-    a = -np.log(left)
+        way += left * -np.expm1(-h * rate) / np.maximum(rate, 1e-300)
+        a += h * rate
+        left = np.exp(-a)
     behind = (1 - way / span) / np.maximum(1 - left, 1e-300)
     return density * a / span, np.where(a < 1e-3, a, _exponent(behind)) / span
 

@@ -186,7 +186,10 @@ class Injector:
         while found < count:
             x, normal = self.source.places(self.generators[1], BLOCK, self.parcels)
             v = _velocity_at(self.velocity, time, x)
-            keep = self.generators[1].random(BLOCK) * most < (v * normal).sum(1)
+            speed = (v * normal).sum(1)
+            if speed.max() > most:  # what was drawn so far came too often
+                most, kept, found = 1.1 * speed.max(), [], 0
+            keep = self.generators[1].random(BLOCK) * most < speed
             kept.append(np.hstack([x[keep], v[keep]]))
             found += len(kept[-1])
         rows = np.concatenate(kept)[:count]

@@ -63,13 +63,13 @@ class Migration:
 
     def put_in_order(self) -> None:
         """Sort many particles by their cells where those that follow each other in memory are no longer near in space."""
-        if len(self) < location.MANY:
+        if not self.comm.allreduce(int(len(self) >= location.MANY)):
             return
         if self._curve is None:
             self._curve = location.curve_through(self.cells)
         order = location.order_by_cell(self.cell, self.position, self._curve)
-        if len(order):
-            self.select(order)
+        if self.comm.allreduce(int(len(order) > 0)):  # on all ranks or on none, as contacts note it
+            self.select(order if len(order) else np.arange(len(self)))
 
     def locate(self, in_order: bool = True) -> np.ndarray | None:
         """Find the cell of every particle and move particles to the ranks of their cells.

@@ -47,14 +47,14 @@ def relaxations(a, number, mean, lags):
 @njit
 def free_flight(position, velocity, force, mass, gravity, rate, held, late, dt):
     """A step without contacts: v += dt (g + F/m), along the relaxation that gives this change, in the part of the step that
-    ``late`` (particles or 0,) leaves."""
+    ``late`` (particles or 0,) leaves; forces are means over the whole step."""
     for i in range(len(position)):
         if held[i]:
             continue
         span = dt * (1 - late[i]) if len(late) else dt
         behind = lag(rate[i] * span)
         for k in range(3):
-            change = dt * (gravity[k] + force[i, k] / mass[i])
+            change = span * gravity[k] + dt * force[i, k] / mass[i]
             position[i, k] += span * (velocity[i, k] + behind * change)
             velocity[i, k] += change
 

@@ -78,6 +78,9 @@ class MultiphasePIC:
         index_map, touched = self.space.space.dofmap.index_map, np.zeros(self.space.nodes, bool)
         touched[self.space.dofs] = True
         self._sums = Halo.of_index_map(self.comm, index_map, touched)
+        several = touched.astype(float)
+        self._sums.complete(several)
+        self._part = np.where(touched, 1 / np.maximum(several, 1.0), 0.0)  # of a node: ranks share some
         self._owned = np.arange(self.space.nodes) < self.space.owned_nodes
         self.room = self._node_rooms()
         self.pressure, self._cells, self._known = np.zeros(self.space.nodes), None, None
@@ -105,6 +108,9 @@ class MultiphasePIC:
                 raise ValueError(f"{wall!r} is no wall of MultiphasePIC; use FacetWalls, PlaneWall or (facet_tags, groups).")
             if wall.kind == FACETS:
                 require_tags("facet tags of a wall", wall.facet_tags, p.mesh)
+            if wall.drive is not None or wall.load is not None or wall.kind == PLANE and np.any(wall.angular_velocity):
+                raise ValueError("A wall of MultiphasePIC has a drive, a load, or is a plane that turns; set its velocity "
+                                 "between two steps instead.")
         if self._known != self.walls or self._cells is not p.cells:
             self.facet_wall = walls_of_facets(p.mesh, p.cells, p.halo, self.walls)
             self.at_walls = facets_at_nodes(self.space, p.cells, self.facet_wall)
@@ -191,8 +197,9 @@ class MultiphasePIC:
             kernels.expansion_of(space.dofs, space.gradient, weight, velocity, rate)
             kernels.expansion_at_walls(nodes, area_normal, self.solid_fraction, velocity, rate)
             self._sums.complete(rate)
-            largest, along = kernels.new_pressures(self.solid_fraction, rate, self.room, bound, dt, self.stress.numbers,
-                                                   carried, self.pressure, fraction, new)
+            largest = kernels.new_pressures(self.solid_fraction, rate, self.room, bound, dt, self.stress.numbers,
+                                                   carried, fraction, new)
+            along = float((self._part * bound * (carried - new)) @ (new - self.pressure))
             largest, along = largest_of(self.comm, largest)[0], sums_of(self.comm, along)[0]
             momentum, last = (1.0, 1.0) if along > 0 else (0.5 + np.sqrt(0.25 + momentum ** 2), momentum)
             carried[:] = new + (last - 1) / momentum * (new - self.pressure)
@@ -242,14 +249,17 @@ class MultiphasePIC:
     # -- checkpoints -----------------------------------------------------------------------------------------------------
 
     def saved(self) -> dict[str, tuple]:
-        """The pressures at the nodes that the next step starts from, for a checkpoint."""
+        """The pressures at the nodes that the next step starts from, and where walls are, for a checkpoint."""
         own, space = self.space.owned_nodes, self.space
         place = np.zeros((space.nodes, 3))
         place[space.dofs] = space.corner
         space.node_halo.forward(place)
-        return {"nodes": (place[:own], {"pressure": self.pressure[:own]})}
+        return {"nodes": (place[:own], {"pressure": self.pressure[:own]}),
+                "same": (None, {"walls": np.array([wall.point for wall in self.walls]).reshape(-1, 3)})}
 
     def restore(self, state: dict[str, dict]) -> None:
         """Take them back."""
         self.pressure[:self.space.owned_nodes] = state["nodes"]["pressure"]
         self.space.node_halo.forward(self.pressure)
+        for wall, point in zip(self.walls, state["same"]["walls"]):
+            wall.point = point.copy()

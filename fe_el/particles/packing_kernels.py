@@ -159,20 +159,20 @@ def sizes_at_walls(nodes, area_normal, values, out):
 
 
 @njit
-def new_pressures(start, rate, room, bound, dt, numbers, carried, pressure, fraction, new):
+def new_pressures(start, rate, room, bound, dt, numbers, carried, fraction, new):
     """One step towards the pressures that belong to the solid fractions at the end of the time step.
 
     Args:
         start, rate: (nodes,) solid fraction before the step, and the rate at which its particles expand [m^3/s].
         room, bound: (nodes,) volume of the node [m^3], and the bound of :func:`row_bounds`.
-        carried: (nodes,) pressures that the rate belongs to [Pa]; ``pressure``: those before.
+        carried: (nodes,) pressures that the rate belongs to [Pa].
         fraction: (nodes,) solid fractions of these, as a first guess; those of the new ones.
         new: (nodes,) filled in.
 
     Returns:
-        Largest difference between a solid fraction by its pressure and by the motion, and whether the steps have overshot.
+        Largest difference between a solid fraction by its pressure and by the motion.
     """
-    largest, along = 0.0, 0.0
+    largest = 0.0
     for n in range(len(start)):
         if room[n] <= 0.0:
             new[n] = 0.0
@@ -186,8 +186,7 @@ def new_pressures(start, rate, room, bound, dt, numbers, carried, pressure, frac
         new[n] = stress_over_fraction(s, numbers)[0] if s > 0.0 else 0.0
         difference = abs(moved - s) if s > 0.0 else 0.0
         largest = max(largest, difference)
-        along += bound[n] * (carried[n] - new[n]) * (new[n] - pressure[n])
-    return largest, along
+    return largest
 
 
 @njit(fastmath=FAST)

@@ -259,7 +259,7 @@ class Particles(SavedParticles, Migration, Held):
             self.put_in_order()
 
     def _advance_with(self, contacts, dt):
-        """A step with contacts; those who came in late are put back along the way that a whole step took them."""
+        """A step with contacts; those who came in late are put back along the way of a whole step, and fell for less."""
         came = "_late" in self.properties
         if came:
             self.properties["_came_at"] = self.position.copy()
@@ -270,6 +270,7 @@ class Particles(SavedParticles, Migration, Held):
                 period = np.where(self.period > 0, self.period, np.inf)
                 way -= np.where(self.period > 0, np.round(way / period) * self.period, 0.0)
             self.position -= late[:, None] * way
+            self.velocity -= late[:, None] * dt * np.where(self.held[:, None], 0.0, self.gravity)
             self.locate()
 
     def _check_arrays(self):

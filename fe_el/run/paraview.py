@@ -27,7 +27,7 @@ WRITTEN = ("velocity", "angular_velocity", "diameter", "density", "material", "i
 
 
 def _write_piece(file, piece):
-    """Write a .vtu file; a piece without points, which meshio could not read back compressed, as it is."""
+    """Write a .vtu file; a piece without points, of which nothing can be compressed, as it is."""
     meshio.write(file, piece, "vtu", compression="zlib" if len(piece.points) else None)
 
 

@@ -164,6 +164,7 @@ class Contacts(SavedContacts, ContactChecks):
         if self.layout != p.layout:
             self._rebuild(h)
             self._first_forces()
+            self.wall_impulse[:] = self.lists.load[:, 7] = 0.0  # they belong to no sub-step
         elif self.stale:
             self._rebuild(h)
         elif "added_mass" in p.properties:

@@ -2,6 +2,7 @@
 import numpy as np
 
 from fe_el.mesh.places import nearest
+from fe_el.parallel.exchange import largest_of
 from fe_el.particles.contacts.springs import Kept
 
 
@@ -11,7 +12,7 @@ class SavedLists:
     def restore(self, state):
         """Springs for the particles of this rank, and walls where they were."""
         p, kept, same = self.particles, [], state["same"]
-        self.shape[:], self.motion[:], self.load[:, 5] = same["shape"], same["motion"], same["pushed"]
+        self.shape[:], self.motion[:], self.load[:, 5] = same["shape"], same["motion"], same["pushed"] / p.comm.size
         self.move_walls()
         for wall, motion, turned in zip(self.walls, self.motion, same["turned"]):
             wall.restore(motion, turned)
@@ -33,7 +34,8 @@ class SavedLists:
         self.age, self.rebuilds = int(same["age"]), int(same["rebuilds"])
 
     def anew(self):
-        """Forget what a run that goes on from a checkpoint does not know."""
+        """Forget what a run that goes on from a checkpoint does not know. Collective."""
+        self.load[:, 5] = self.particles.comm.allreduce(self.load[:, 5]) / self.particles.comm.size
         self.tile_layout, self.wall_top = None, 0.0
 
 
@@ -52,9 +54,9 @@ class SavedContacts:
         skin = np.nan if lists.skin is None else lists.skin
         turned = np.array([wall.turned for wall in lists.walls])
         out["same"] = (None, {"step": self.step, "time": self.time, "turned": turned, "shape": lists.shape,
-                              "pushed": lists.load[:, 5], "motion": lists.motion, "skin": skin, "age": lists.age,
-                              "rebuilds": lists.rebuilds, "known": self.layout == p.layout,
-                              "largest_overlap": self.largest_overlap})
+                              "pushed": p.comm.allreduce(lists.load[:, 5]), "motion": lists.motion, "skin": skin,
+                              "age": lists.age, "rebuilds": lists.rebuilds, "known": self.layout == p.layout,
+                              "largest_overlap": largest_of(p.comm, self.largest_overlap)[0]})
         return out
 
     def restore(self, state: dict[str, dict]) -> None:
