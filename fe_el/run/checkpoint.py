@@ -25,7 +25,7 @@ def save_checkpoint(path: str | Path, *parts: Any, **numbers: Any) -> None:
     """Write the state of particles, contacts, fluid, scalars, inlets and observers to an HDF5 file.
 
     The file is complete or not there: it gets its name when it is written, and begins with a checksum. The run that wrote it
-    makes lists and solvers anew, as one that goes on from it must: on as many ranks both are the same to the last bit. On
+    makes lists and solvers anew, as one that goes on from it must: on one rank both are the same to the last bit. On
     other ranks, and with a run that wrote none, they agree up to round-off and the solvers' tolerance.
 
     Args:
