@@ -64,6 +64,8 @@ class Scene:
             self.beads.insert_at(position, diameter if want.sizes == 2 else np.full(len(diameter), bed.SMALL))
             if want.held:
                 self.beads.hold()
+            if not want.contacts:
+                self.beads.rebound_at(tags, (bed.WALL, bed.INLET, bed.OUTLET))
         if want.sizes and want.contacts and not want.held:
             law = fe_el.LinearSpringDashpot(500.0, restitution=0.9, friction=want.friction)
             self.contacts = fe_el.Contacts(self.beads, law, walls=(tags, (bed.WALL, bed.INLET)), steps_per_contact=12)
