@@ -243,3 +243,10 @@ def test_a_drag_a_little_below_zero_beside_a_wall_does_no_harm():
             air.advance(0.1, fields)
         ends.append(air.velocity.x.array.copy())
     assert np.abs(ends[0] - ends[1]).max() < 1e-9
+
+
+def test_what_takes_one_group_refuses_several():
+    mesh, tags = fe_el.box((1.0, 1.0), (3, 3))
+    air = fe_el.VolumeAveragedNavierStokes(mesh, tags)
+    with pytest.raises(ValueError, match="one group"):
+        fe_el.Scalar(air, 1e-3, 0.0).set_value((1, 2), 1.0)

@@ -66,11 +66,12 @@ def main(kills=20, signal_name="SIGKILL", seed=1, output="out/kill_and_restart")
         codes.append(run.returncode)
     finish(folder / "broken")
     sums = [json.loads((folder / k / "summary.json").read_text()) for k in ("whole", "broken")]
+    energy = [s["kinetic_energy"] for s in sums]
     frames = [re.findall('timestep="([^"]+)"', (folder / k / "particles.pvd").read_text()) for k in ("whole", "broken")]
     return fe_el.write_summary(folder, kills=kills, exit_codes=sorted(set(codes)), slowest_end=slowest,
                                same_frames=frames[0] == frames[1], frames=len(frames[0]),
                                left_mass_difference=abs(sums[0]["left_mass"] - sums[1]["left_mass"]),
-                               kinetic_energy_difference=abs(sums[0]["kinetic_energy"] / sums[1]["kinetic_energy"] - 1),
+                               kinetic_energy_difference=abs(energy[0] - energy[1]) / max(*energy, 1e-300),
                                lost_particles=sums[1]["lost_particles"], stray_files=len(list(folder.rglob("*.part"))))
 
 

@@ -61,7 +61,9 @@ class Boundaries:
         """Facets and nodes of a boundary group."""
         if self.facet_tags is None:
             raise ValueError(f"Boundary group {group} was named, but no facet_tags were given; pass facet_tags=.")
-        group, = self._numbers(group)
+        group, *others = self._numbers(group)
+        if others:
+            raise ValueError(f"The boundary group is {(group, *others)}; give one group, by its number or name.")
         if group not in self._facets:
             self._facets[group] = BoundaryFacets(self.mesh, self.facet_tags, group, self.dofs, self.corner, self.gradient,
                                                  self.volume, self.node_halo, self.nodes)
