@@ -1,4 +1,5 @@
 """The fluid alone: rest, packed beds and conservation."""
+import gc
 import tracemalloc
 
 import numpy as np
@@ -96,8 +97,8 @@ def test_a_lid_may_slide_over_a_closed_box_but_nothing_may_flow_in():
 
 @pytest.mark.parametrize("scene", ["one phase", "moving void fraction"])
 def test_a_step_asks_the_system_for_no_arrays(scene):
-    """All that Python and numpy ask for in an ordinary step, added up at its largest, is less than a fifth of one array of
-    the cells."""
+    """All that Python and numpy ask for in a step, added up at its largest, is less than a fifth of one array of the
+    cells; what others left to the collector does not count."""
     mesh, tags = fe_el.box((0.5, 1.0), (32, 64))
     moving = scene == "moving void fraction"
     air = fe_el.VolumeAveragedNavierStokes(mesh, tags, 1.2, 1e-3, gravity=(0, -9.81),
@@ -111,6 +112,8 @@ def test_a_step_asks_the_system_for_no_arrays(scene):
     scalar, vector = scalar_space(mesh, "DG", 0), vector_space(mesh, "DG", 0)
     phi, drag, source = fem.Function(scalar), fem.Function(scalar), fem.Function(vector)
     y, asked = air.corner[:, :, 1].mean(1), []
+    gc.collect()
+    gc.disable()
     for k in range(8):
         phi.x.array[:] = 0.8 + 0.1 * np.sin(6 * y - 0.1 * k)
         drag.x.array[:] = 100 * (1 - phi.x.array)
@@ -119,7 +122,8 @@ def test_a_step_asks_the_system_for_no_arrays(scene):
         heat.advance(0.005)
         asked.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-    assert min(asked) > 0 and np.median(asked[4:]) < 0.2 * y.nbytes
+    gc.enable()
+    assert min(asked) > 0 and max(asked[4:]) < 0.2 * y.nbytes
 
 
 @pytest.mark.ranks
