@@ -1,5 +1,7 @@
 """Inlets, outlets and what happens to a run that fails."""
 import json
+import time
+from pathlib import Path
 
 import meshio
 import numpy as np
@@ -141,8 +143,22 @@ def test_summary_has_flat_keys(folder):
         list(fe_el.time_steps(0.0, 1.0))
 
 
+@pytest.mark.ranks
+def test_after_the_summary_every_rank_can_read_what_rank_0_wrote(folder):
+    """Tables that rank 0 writes late, and the summary itself; a folder that cannot be made is an error on all ranks."""
+    from mpi4py import MPI
+    comm = MPI.COMM_WORLD
+    if comm.rank == 0:
+        time.sleep(0.3)
+        Path(folder, "table.csv").write_text("1\n")
+    fe_el.write_summary(folder, a=comm.allreduce(1))
+    assert Path(folder, "table.csv").read_text() == "1\n"
+    assert json.loads(Path(folder, "summary.json").read_text())["a"] == comm.size
+    with pytest.raises(OSError, match="summary cannot be written in .*table.csv"):
+        fe_el.write_summary(folder + "/table.csv/below")
+
+
 def test_fluid_and_particles_never_import_each_other():
-    from pathlib import Path
     root = Path(fe_el.__file__).parent
     for folder, other in (("fluid", "particles"), ("particles", "fluid")):
         for file in (root / folder).glob("**/*.py"):

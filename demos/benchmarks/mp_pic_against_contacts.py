@@ -78,8 +78,8 @@ def main(parcels=4000, cells=5, time_step=(2e-4, 1e-3, 5e-3), end_time=0.4, outp
             for kind, dt in tqdm(cases, disable=not progress or comm.rank > 0, unit="run")]
     summary = {f"{row['packing']}_{row['time_step']:g}_{name}": value for row in rows
                for name, value in row.items() if name not in ("packing", "time_step")}
-    summary = fe_el.write_summary(output, comm, parcels=parcels, cells=cells, end_time=end_time, **summary)
     if comm.rank == 0:
+        Path(output).mkdir(parents=True, exist_ok=True)
         with open(Path(output) / "columns.csv", "w", newline="") as file:
             writer = csv.DictWriter(file, rows[0])
             writer.writeheader()
@@ -87,7 +87,7 @@ def main(parcels=4000, cells=5, time_step=(2e-4, 1e-3, 5e-3), end_time=0.4, outp
         if progress:
             for row in rows:
                 print("  ".join(f"{v:10.4g}" if isinstance(v, float) else f"{v:10s}" for v in row.values()))
-    return summary
+    return fe_el.write_summary(output, comm, parcels=parcels, cells=cells, end_time=end_time, **summary)
 
 
 if __name__ == "__main__":

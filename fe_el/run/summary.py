@@ -9,6 +9,8 @@ from typing import Any
 
 from mpi4py import MPI
 
+from fe_el.parallel.exchange import raise_everywhere
+
 
 def stage_seconds(*parts: Any) -> dict[str, Any]:
     """Wall time of every active stage: ``seconds_per_stage`` and a flat ``seconds_<stage>`` each.
@@ -37,21 +39,31 @@ def versions():
 def write_summary(folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, **numbers: Any) -> dict[str, Any]:
     """Write ``folder/summary.json`` with flat keys in SI units, ranks and versions; returns the dictionary.
 
-    A number that is not finite stands there as null, and a warning names it.
+    A number that is not finite stands there as null, and a warning names it. No rank goes on before the file is there, nor
+    before rank 0 has written what it wrote earlier (tables, pictures): what a run leaves can be read after it on any rank.
+
+    Note:
+        Collective.
 
     Raises:
         ValueError: for what is no number, text, array, list or dictionary of these, or a folder that is no name.
+        OSError: where the file cannot be written, on all ranks.
     """
     if not isinstance(folder, (str, Path)):
         raise ValueError(f"The folder of the summary is {folder!r}; give its name.")
     out, bad = {**numbers, "ranks": comm.size, **versions()}, []
     plain = _plain(out, "", bad)
+    fault = None
     if comm.rank == 0:
         if bad:
             warnings.warn(f"The summary in {folder} has no finite number for {', '.join(bad)}: null.", RuntimeWarning,
                           stacklevel=2)
-        Path(folder).mkdir(parents=True, exist_ok=True)
-        (Path(folder) / "summary.json").write_text(json.dumps(plain, indent=1) + "\n")
+        try:
+            Path(folder).mkdir(parents=True, exist_ok=True)
+            (Path(folder) / "summary.json").write_text(json.dumps(plain, indent=1) + "\n")
+        except OSError as error:
+            fault = f"The summary cannot be written in {folder}: {error}."
+    raise_everywhere(comm, OSError, fault)
     return out
 
 
