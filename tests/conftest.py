@@ -1,15 +1,20 @@
-"""Shared helpers of the tests."""
+"""Shared helpers of the tests. mpi4py is imported where it is needed: what starts MPI hands its environment on to the
+processes that share the tests between them, and each of those is a run of its own."""
 import csv
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 
 
 def pytest_runtest_logreport(report):
     """Under mpirun a failing rank ends all: the others would wait for it for ever."""
+    if "mpi4py.MPI" not in sys.modules:  # the process that hands tests to others
+        return
+    from mpi4py import MPI
     if report.failed and MPI.COMM_WORLD.size > 1:
         print(f"\nrank {MPI.COMM_WORLD.rank}: {report.nodeid} failed\n{report.longreprtext}", file=sys.__stderr__,
               flush=True)
@@ -19,6 +24,7 @@ def pytest_runtest_logreport(report):
 @pytest.fixture
 def folder(tmp_path_factory):
     """A new folder that every rank knows."""
+    from mpi4py import MPI
     comm = MPI.COMM_WORLD
     return comm.bcast(str(tmp_path_factory.mktemp("run")) if comm.rank == 0 else None)
 
@@ -45,3 +51,19 @@ def by_id():
         out[particles.id] = array
         return particles.comm.allreduce(out)
     return order
+
+
+@pytest.fixture
+def mpirun():
+    """Starts python on a number of ranks of their own: ``mpirun(ranks, *arguments)``, a ``CompletedProcess``."""
+    from fe_el.parallel.failures import environment_outside_mpirun
+    if shutil.which("mpirun") is None:
+        pytest.skip("needs mpirun")
+    environment = environment_outside_mpirun() | {  # as root, on more ranks than cores, for OpenMPI 4 and 5
+        "OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+        "OMPI_MCA_rmaps_base_oversubscribe": "1", "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe"}
+
+    def start(ranks, *arguments):
+        return subprocess.run(["mpirun", "-n", str(ranks), sys.executable, *arguments], capture_output=True, text=True,
+                              timeout=120, env=environment, stdin=subprocess.DEVNULL)
+    return start

@@ -1,5 +1,4 @@
 """Runs that are told to stop write a checkpoint and leave with exit code 75."""
-import os
 import signal
 import subprocess
 import sys
@@ -48,12 +47,10 @@ def test_a_run_that_is_told_to_stop_leaves_its_state(tmp_path, how):
     assert steps >= 20 and len(beads) == 2 and beads.step == steps
 
 
-def test_a_signal_to_one_rank_stops_all(tmp_path):
+def test_a_signal_to_one_rank_stops_all(tmp_path, mpirun):
     (tmp_path / "run.py").write_text(SCRIPT)
     path = str(tmp_path / "a.h5")
-    run = subprocess.run(["mpirun", "-n", "2", "--oversubscribe", sys.executable, "-W", "ignore", str(tmp_path / "run.py"),
-                          path, "100", "own"], capture_output=True, text=True, timeout=120,
-                         env={**os.environ, "OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"})
+    run = mpirun(2, "-W", "ignore", str(tmp_path / "run.py"), path, "100", "own")
     assert run.returncode == 75 and run.stderr.count("The run stops (signal SIGUSR1)") == 1
     assert went_on_from(path)[0] == 20
 
