@@ -142,16 +142,17 @@ def test_a_loading_is_that_of_the_fluid_through_the_source(dimension):
 
 @pytest.mark.ranks
 def test_momentum_is_exact_in_the_step_in_which_parcels_come():
-    """Fluid and parcels exchange what the ledger says, parts of steps and all, with contacts or without."""
-    for contact in (False, True):
+    """Fluid and parcels exchange what the ledger says, parts of steps and all, with contacts or without, in gas and in a
+    liquid, whose pressure is that of the end of the step."""
+    for contact, density in ((False, 1.1), (True, 1.1), (False, 500.0), (True, 500.0)):
         p, tags = box(3)
-        air = fe_el.VolumeAveragedNavierStokes(p.mesh, tags, 1.1, 1.9e-5)
+        air = fe_el.VolumeAveragedNavierStokes(p.mesh, tags, density, 1.9e-5)
         air.set_velocity(1, (1.0, 0, 0))
         air.set_pressure(2)
         jet = fe_el.Injector(p, fe_el.DiscSource((0.05, 0.05, 0.0), (0, 0, 1), 0.02), (0, 0, 2.0), D, mass_rate=1e-4,
                              number=1e3)
         contacts = fe_el.Contacts(p, fe_el.LinearSpringDashpot(1e-3, 0.9, 0.1), steps_per_contact=12) if contact else None
-        for scheme in ("conservative", "explicit"):
+        for scheme in ("conservative", "explicit") if density < 2 else ("conservative",):
             coupling = fe_el.Coupling.of(air, p, [fe_el.Drag("schiller_naumann"), fe_el.PressureGradient()], scheme=scheme)
             for _ in range(3):
                 jet.advance(2e-3)

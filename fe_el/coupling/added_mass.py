@@ -25,6 +25,9 @@ is known after the step only, and so is whether they hold the particle. Its resi
 leaves out, then comes back through the contact force, with a gain g = s (C + beta dt / rho) / (1 - s) and a lag: so what
 waits is given to the fluid in parts of 1 / (1 + g) per step, with which that loop fades at once, whatever the step.
 
+With C = 0 the same takes the pressure force of heavier particles implicitly. Their contact force of the last step is
+expected again, in f_0, as without it (:class:`fe_el.coupling.schemes.Conservative`), so nothing waits.
+
 Without added mass, displaced volume that answers the pressure of the last step is unstable when s rho > 2 (1 - s) rho_p, s
 the solid fraction: the pressure of an accelerated liquid drives light particles, whose acceleration displaces it. With it
 s (C + 1 - s) < 2 (1 - s) C is stable for massless particles: for C = 1/2 up to s = 0.45, with Zuber's up to 0.64.
@@ -79,31 +82,35 @@ class Moved(NamedTuple):
     beta: np.ndarray  #: (n, 1) [kg/(m^3 s)]
     velocity: np.ndarray  #: (n, d) [m/s]
     known: np.ndarray  #: (n, d) rho_e a_0, force per volume [N/m^3]
-    contact: np.ndarray  #: (n, 3) of this, the contact force of the last step, which is expected again; not in f_0 [N]
+    contact: np.ndarray  #: (n, 3) of this, the contact force of the last step, which is expected again [N]
+    expected: bool  #: whether f_0 has it; or what contacts do to added mass goes to the fluid when it is known
     carried: np.ndarray  #: (n, d) u_0 [m/s]
+    late: np.ndarray  #: (n,) share of the step after which a particle comes in; no rows: none does
 
 
 @njit(error_model="numpy")
 def _rows(dt, pressed, moved, rate, rows):
-    """Fill V K, V P and V f_0 (n, 2 + d), and the rates of relaxation (n,) [1/s]; without pressure force if not
-    ``pressed``."""
+    """Fill V K, V P and V f_0 (n, 2 + d), means over the whole step, and the rates of relaxation (n,) [1/s]; without
+    pressure force if not ``pressed``."""
     volume, density, added, beta = moved.volume, moved.density, moved.added, moved.beta
     velocity, known, contact, carried = moved.velocity, moved.known, moved.contact, moved.carried
     for i in range(len(velocity)):
-        own, b, v = density[i, 0], beta[i, 0], volume[i, 0]
+        own, b, here = density[i, 0], beta[i, 0], 1 - moved.late[i] if len(moved.late) else 1.0
+        v, inertia, later = volume[i, 0] * here, added[i] / (dt * here), 0.0 if moved.expected else here
         if own == np.inf:
-            rate[i], rows[i, 0], rows[i, 1] = 0.0, v * (b + added[i] / dt), 0.0
+            rate[i], rows[i, 0], rows[i, 1] = 0.0, v * (b + inertia), 0.0
             for k in range(velocity.shape[1]):
-                rows[i, 2 + k] = -v * (b * velocity[i, k] + added[i] / dt * carried[i, k])
+                rows[i, 2 + k] = -v * (b * velocity[i, k] + inertia * carried[i, k])
             continue
         whole = own + added[i]
-        m, late, _ = relaxation(dt * b / whole)
+        m, rest, _ = relaxation(dt * here * b / whole)
         part = own / whole * m
-        handed = late + m * added[i] / whole
-        rate[i], rows[i, 0], rows[i, 1] = b / whole, v * part * (b + added[i] / dt), v * handed if pressed else 0.0
+        handed = rest + m * added[i] / whole
+        rate[i], rows[i, 0] = b / whole, v * part * (b + inertia)
+        rows[i, 1] = volume[i, 0] - v * (1 - handed) if pressed else 0.0  # all of it while it is not there
         for k in range(velocity.shape[1]):
-            rows[i, 2 + k] = -v * part * (b * velocity[i, k] + added[i] / dt * carried[i, k]) \
-                - handed * (v * known[i, k] - contact[i, k])
+            rows[i, 2 + k] = -v * part * (b * velocity[i, k] + inertia * carried[i, k]) \
+                - handed * (v * known[i, k] - later * contact[i, k])
 
 
 @njit(error_model="numpy")
@@ -120,22 +127,23 @@ def _forces(dt, moved, rows, gravity, fluid, slope, given, force, foreseen):
     velocity, known, contact, carried = moved.velocity, moved.known, moved.contact, moved.carried
     d = velocity.shape[1]
     for i in range(len(velocity)):
-        own, b, v = density[i, 0], beta[i, 0], volume[i, 0]
-        whole, held = own + added[i], own == np.inf
-        m, late, lag = relaxation(0.0 if held else dt * b / whole)
+        own, b, here = density[i, 0], beta[i, 0], 1 - moved.late[i] if len(moved.late) else 1.0
+        v, whole, held, span = volume[i, 0] * here, own + added[i], own == np.inf, dt * here
+        m, rest, lag = relaxation(0.0 if held else span * b / whole)
+        later = 0.0 if moved.expected else span * (rest + m * added[i] / whole)
         for k in range(d):
             pressure = slope[i, k] if slope.shape[1] else 0.0
-            given[i, k] = rows[i, 0] * fluid[i, k] + (rows[i, 1] - v) * pressure + rows[i, 2 + k]
+            given[i, k] = rows[i, 0] * fluid[i, k] + (rows[i, 1] - volume[i, 0]) * pressure + rows[i, 2 + k]
             if held:
                 force[i, k] = given[i, k]
-                foreseen[i, k] *= v * added[i]
+                foreseen[i, k] *= volume[i, 0] * added[i]
                 continue
-            inside = known[i, k] - pressure + added[i] * (fluid[i, k] - carried[i, k]) / dt  # per volume, all but drag
-            target = velocity[i, k] + lag * dt * inside / whole
+            inside = known[i, k] - pressure + added[i] * (fluid[i, k] - carried[i, k]) / span  # per volume, all but drag
+            target = velocity[i, k] + lag * span * inside / whole
             total = b * m * (fluid[i, k] - target) + inside
-            force[i, k] = v * (total - whole * gravity[k]) - contact[i, k]
-            foreseen[i, k] = v * added[i] * (foreseen[i, k] + dt * total / whole) \
-                - dt * (late + m * added[i] / whole) * contact[i, k]
+            force[i, k] = v * (total - whole * gravity[k]) - here * contact[i, k]
+            foreseen[i, k] = volume[i, 0] * added[i] * (foreseen[i, k] + span * total / whole) \
+                - later * contact[i, k]
         for k in range(d, 3):
             force[i, k] = 0.0
 
@@ -153,10 +161,12 @@ class AddedMassExchange:
     Args:
         law (AddedMass): its coefficient.
         pressed (bool): whether there is a pressure force.
+        expected (bool): whether the contact force of the last step is expected again, as without added mass: where there is
+            none, and particles are so heavy that this is stable.
     """
 
-    def __init__(self, law, pressed):
-        self.law, self.pressed, self._work = law, pressed, WorkArrays()
+    def __init__(self, law, pressed, expected=False):
+        self.law, self.pressed, self.expected, self._work = law, pressed, expected, WorkArrays()
 
     def waiting(self, particles, dimension):
         """Impulse (particles, d) of contacts on added mass that the fluid has still to receive [N s]."""
@@ -171,14 +181,17 @@ class AddedMassExchange:
         """V K, V P and V f_0 (particles, 2 + d) of an :class:`Exchange` whose accelerations leave the pressure out, and the
         force (particles, d) [N] that the fluid receives of what waits."""
         p, (n, d), work = particles, x.velocity.shape, self._work
-        self.wait = self.waiting(p, d)
-        mean = x.fluid_velocity if x.offset is None else x.fluid_velocity - x.offset
-        carried = np.where(p.properties["added_mass"][:, None] == 0.0, mean, p.properties["_carried_velocity"])
+        carried = x.fluid_velocity if x.offset is None else x.fluid_velocity - x.offset
+        if not self.expected:
+            self.wait = self.waiting(p, d)
+            carried = np.where(p.properties["added_mass"][:, None] == 0.0, carried, p.properties["_carried_velocity"])
         added, velocity = self.law.density(solid, fluid_density), x.velocity if x.offset is None else x.velocity - x.offset
         self.rows, self.relaxation_rate = work.empty("rows", n, 2 + d), work.empty("relaxation_rate", n)
         self.dt, self.moved = x.dt, Moved(x.volume, x.density, added, x.beta, velocity, x.acceleration * p.density[:, None],
-                                          p.mean_contact_force, carried)
+                                          p.mean_contact_force, self.expected, carried, x.late)
         _fill_rows(x.dt, self.pressed, self.moved, self.relaxation_rate, self.rows)
+        if self.expected:
+            return self.rows, np.zeros((n, d))
         gain = solid / (1 - solid) * (added + x.beta[:, 0] * x.dt) / fluid_density
         part = self.wait / (1 + gain)[:, None]
         self.wait = self.wait - part
@@ -189,6 +202,8 @@ class AddedMassExchange:
         p, d = particles, self.moved.velocity.shape[1]
         given, foreseen = self._work.empty("given", len(p), d), p.velocity[:, :d].copy()
         _fill_forces(self.dt, self.moved, self.rows, p.gravity, fluid_velocity, slope, given, p.force, foreseen)
-        p.properties.update(added_mass=self.moved.added * self.moved.volume[:, 0], _carried_velocity=fluid_velocity.copy(),
-                            _waiting_impulse=self.wait, _foreseen_momentum=foreseen)
+        if not self.expected:
+            p.properties.update(added_mass=self.moved.added * self.moved.volume[:, 0],
+                                _carried_velocity=fluid_velocity.copy(), _waiting_impulse=self.wait,
+                                _foreseen_momentum=foreseen)
         return given

@@ -69,7 +69,7 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
 
     Attributes:
         fields: (void fraction DG0, drag coefficient A DG0 [kg/(m^3 s)], momentum source B DG0 vector [N/m^3]); with added
-            mass also the share DG0 of the pressure gradient that particles hand on to the fluid.
+            mass or the pressure of the end of the step also the share DG0 of the pressure gradient that particles hand on.
         over_filled (int): cells that were over-filled in the last step, over all ranks.
         solid_volume_error, momentum_imbalance (float): ledger of the last step, relative to the solid volume and to the
             particles' weight, that of added mass included (without gravity: to the force).
@@ -182,7 +182,8 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
             raise ValueError(f"The fluid is {fluid!r}; pass an object of VolumeAveragedNavierStokes or SubCycled.")
         if flow is not fluid:
             kwargs = {"mean_velocity": fluid.mean_velocity, **kwargs}
-        pressure, forces = flow.pressure if flow is fluid else fluid.mean_pressure, fitting(flow, particles, forces)
+        pressure, one_step = flow.pressure if flow is fluid else fluid.mean_pressure, flow is fluid
+        forces = fitting(flow, particles, forces, one_step and kwargs.get("scheme", "conservative") == "conservative")
         return cls(particles, flow.velocity, pressure, flow.density, flow.viscosity, forces, **kwargs)
 
     def saved(self) -> dict[str, tuple]:
@@ -207,7 +208,7 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
         self._dt = positive_number("time step", dt)
         tick = self._begin()
         p = self.particles
-        if self.added is None and p.next_id != self.checked and self._too_light():
+        if (self.added is None or self.added.expected) and p.next_id != self.checked and self._too_light():
             raise ValueError(f"Particles came that are too light for a pressure force without added mass in a fluid of "
                              f"{self.density:g} kg/m^3; give forces=[..., AddedMass()].")
         self._steady = np.zeros(self.dimension)  # force per volume that needs no field

@@ -1,21 +1,27 @@
 """Whether fluid, particles, forces and the step of a coupling fit each other."""
 import numpy as np
 
-from fe_el.coupling.forces import Buoyancy, PressureGradient, ViscousStress
+from fe_el.coupling.added_mass import AddedMass
+from fe_el.coupling.forces import Buoyancy, Drag, PressureGradient, ViscousStress
+from fe_el.coupling.light_particles import lightest_of
 
+LIGHT = 0.01  # density of a fluid over that of particles, from which on they take its pressure of the end of the step
 LARGEST = 1000.0  # relaxation times in a step, beyond which it tells little of what happens in it
 
 
-def fitting(flow, particles, forces):
+def fitting(flow, particles, forces, takes_shares=False):
     """The forces, with the fluid's mean pressure gradient where none was given.
 
     Args:
         flow: a fluid with ``mesh``, ``gravity``, ``mean_pressure_gradient`` and ``stress_of_mixture``.
+        takes_shares (bool): whether fluid and scheme take a share of the pressure gradient.
 
     Raises:
         ValueError: where they contradict each other.
     """
     d, out = particles.mesh.topology.dim, []
+    alone = not any(isinstance(f, AddedMass) or isinstance(f, Drag) and f.relaxing for f in forces)
+    at_end = takes_shares and alone and flow.density > LIGHT * lightest_of(particles)
     down, mean = np.asarray(flow.gravity, float), np.asarray(flow.mean_pressure_gradient, float)
     if flow.mesh is not particles.mesh:
         raise ValueError("Fluid and particles live on different meshes; make both with the same one.")
@@ -32,7 +38,7 @@ def fitting(flow, particles, forces):
             if force.mean.any() and not np.array_equal(force.mean[:d], mean):
                 raise ValueError(f"The mean pressure gradient is {mean.tolist()} in the fluid and {force.mean[:d].tolist()} "
                                  "for the particles; leave out the latter.")
-            force = PressureGradient(mean)
+            force = PressureGradient(mean, at_end if force.at_end is None else force.at_end)
         out.append(force)
     return out
 

@@ -76,10 +76,16 @@ class PressureGradient:
     Args:
         mean: a constant part of -grad p that acts beside the solved pressure (three numbers) [Pa/m]: in a periodic box the
             one that carries the weight; give the fluid the same as ``mean_pressure_gradient``.
+        at_end (bool): whether the pressure is that of the end of the step, for fluids that take a share of the pressure
+            gradient as a fourth field, or that of the step before. Absent: of the end where ``Coupling.of`` knows such a
+            fluid and particles are less than a hundred times as dense as it: there the pressure of the step before lets
+            dense suspensions gain energy.
     """
 
-    def __init__(self, mean: ArrayLike = (0.0, 0.0, 0.0)) -> None:
-        self.mean = np.zeros(3)
+    def __init__(self, mean: ArrayLike = (0.0, 0.0, 0.0), at_end: bool | None = None) -> None:
+        if at_end not in (None, True, False):
+            raise ValueError(f"at_end is {at_end!r}; give True or False, or leave it out.")
+        self.mean, self.at_end = np.zeros(3), at_end
         mean = numbers("mean pressure gradient", mean).ravel()
         if mean.size not in (2, 3) or not np.isfinite(mean).all():
             raise ValueError(f"The mean pressure gradient is {mean.tolist()}; give two or three finite numbers [Pa/m].")

@@ -9,22 +9,31 @@ from fe_el.parallel.exchange import largest_of, raise_everywhere
 LIQUID = 0.1  # density of a fluid over that of the particles, from which its answer to displaced volume drives them
 
 
+def lightest_of(particles):
+    """Least density of the particles, and of those to come [kg/m^3]. Collective."""
+    here = particles.density.min(initial=np.inf)
+    return min(particles.default_density, -largest_of(particles.comm, -here)[0])
+
+
 class LightParticles:
     """What :class:`Coupling` does for particles that are light, or not small beside their cells."""
 
     def _added_mass(self, law, scheme, mean_velocity):
-        """The exchange with added mass: if a law is given, or where particles are so light that without one they explode."""
-        message = None
+        """The exchange with added mass: if a law is given, or where particles are so light that without one they explode;
+        and the same without added mass for a pressure force of the end of the step."""
+        what, message, at_end = "Added mass, which particles as light as the fluid need,", None, False
         if law is None and self._too_light():
             law = AddedMass()
+        if law is None and self.pressure_force is not None and self.pressure_force.at_end:
+            law, what, at_end = AddedMass(0.0), "A pressure force of the end of the step", True
         if law is None:
             return None
         if scheme != "conservative":
-            message = f"Added mass, which particles as light as the fluid need, needs scheme='conservative', not {scheme!r}."
+            message = f"{what} needs scheme='conservative', not {scheme!r}."
         elif mean_velocity is not None:
-            message = "Added mass and several steps of the fluid in one (mean_velocity) do not go together."
+            message = f"{what} and several steps of the fluid in one (mean_velocity) do not go together."
         raise_everywhere(self.comm, ValueError, message)
-        return AddedMassExchange(law, self.pressure_force is not None)
+        return AddedMassExchange(law, self.pressure_force is not None, at_end)
 
     def _own_velocity(self):
         """What takes a particle's own part off the fluid velocity that drag sees.
@@ -41,9 +50,7 @@ class LightParticles:
     def _too_light(self):
         """Whether the pressure force on a particle that is here, or of the density of those to come, is unstable without
         added mass, in the fullest cells."""
-        p = self.particles
-        lightest = min(p.default_density, -largest_of(self.comm, -p.density.min(initial=np.inf))[0])
-        self.checked = p.next_id
+        self.checked, lightest = self.particles.next_id, lightest_of(self.particles)
         return self.pressure_force is not None and lightest < self.density * self.largest / (2 * (1 - self.largest))
 
     def _share_ahead(self, dt):
