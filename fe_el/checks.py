@@ -1,10 +1,12 @@
 """Checks of what users give: each returns the argument in its final form, or raises a sentence that says what is allowed."""
+from typing import Any
+
 import numpy as np
 
 from fe_el.dolfinx_api import is_of_mesh
 
 
-def numbers(name, value):
+def numbers(name: str, value: Any) -> np.ndarray:
     """An array of float; raises ``ValueError`` for text, objects and ragged lists."""
     try:
         a = np.asarray(value)
@@ -15,7 +17,7 @@ def numbers(name, value):
     return a.astype(float)
 
 
-def require_positive(name, value):
+def require_positive(name: str, value: Any) -> None:
     """Raise ``ValueError`` unless every value is finite and positive."""
     value = numbers(name, value).ravel()
     bad = value[~(np.isfinite(value) & (value > 0))]
@@ -23,14 +25,14 @@ def require_positive(name, value):
         raise ValueError(f"The {name} is {bad[0]:g}; it must be finite and greater than zero.")
 
 
-def require_not_negative(name, value):
+def require_not_negative(name: str, value: Any) -> None:
     """Raise ``ValueError`` unless every value is finite and not negative."""
     value = numbers(name, value)
     if not (np.isfinite(value).all() and (value >= 0).all()):
         raise ValueError(f"The {name} is {value.tolist()}; it must be finite and not negative.")
 
 
-def positive_number(name, value):
+def positive_number(name: str, value: Any) -> float:
     """One finite number above zero, as float."""
     if numbers(name, value).ndim:
         raise ValueError(f"The {name} is {_short(value)}; give one number, above zero.")
@@ -38,7 +40,7 @@ def positive_number(name, value):
     return float(value)
 
 
-def not_negative_number(name, value):
+def not_negative_number(name: str, value: Any) -> float:
     """One finite number, zero or above, as float."""
     if numbers(name, value).ndim:
         raise ValueError(f"The {name} is {_short(value)}; give one number, zero or above.")
@@ -46,14 +48,14 @@ def not_negative_number(name, value):
     return float(value)
 
 
-def finite_number(name, value):
+def finite_number(name: str, value: Any) -> float:
     """One finite number, as float."""
     if numbers(name, value).ndim or not np.isfinite(value):
         raise ValueError(f"The {name} is {_short(value)}; give one finite number.")
     return float(value)
 
 
-def number_or_function(name, value):
+def number_or_function(name: str, value: Any) -> Any:
     """A finite number, or a function that gives one; a class is none."""
     if callable(value) and not isinstance(value, type):
         return value
@@ -62,7 +64,7 @@ def number_or_function(name, value):
     return finite_number(name, value)
 
 
-def components(name, value, dimension):
+def components(name: str, value: Any, dimension: int) -> np.ndarray:
     """As many finite numbers as there are dimensions (d,); of three in two dimensions the last is left out."""
     v = numbers(name, value)
     if v.shape not in ((dimension,), (3,)) or not np.isfinite(v).all():
@@ -70,33 +72,33 @@ def components(name, value, dimension):
     return v[:dimension].copy()
 
 
-def function_of_mesh(name, value):
+def function_of_mesh(name: str, value: Any) -> Any:
     """The object itself, if it is a dolfinx Function."""
     if not hasattr(value, "function_space") or not hasattr(value, "x"):
         raise ValueError(f"The {name} is {_short(value)}; pass a dolfinx Function, for instance fluid.velocity.")
     return value
 
 
-def function_or_class_of(name, value, example):
+def function_or_class_of(name: str, value: Any, example: str) -> Any:
     """The object itself, if it can be called; a class is refused, as its object was meant."""
     if not callable(value) or isinstance(value, type):
         raise ValueError(f"The {name} is {_short(value)}; pass {example}.")
     return value
 
 
-def seed_number(value):
+def seed_number(value: Any) -> int:
     """A seed of random numbers, as int."""
     return whole_number("seed of the random numbers (seed)", value, 0)
 
 
-def whole_number(name, value, least):
+def whole_number(name: str, value: Any, least: int) -> int:
     """One whole number of at least ``least``, as int."""
     if numbers(name, value).ndim or not np.isfinite(value) or value != int(value) or value < least:
         raise ValueError(f"The {name} is {_short(value)}; give a whole number, {least} or more.")
     return int(value)
 
 
-def finite_vector(name, value):
+def finite_vector(name: str, value: Any) -> np.ndarray:
     """Two or three finite numbers as an array (3,); the third is zero if it is left out."""
     v, value = np.zeros(3), numbers(name, value)
     if value.ndim != 1 or value.size not in (2, 3) or not np.isfinite(value).all():
@@ -105,7 +107,7 @@ def finite_vector(name, value):
     return v
 
 
-def points(name, value):
+def points(name: str, value: Any) -> np.ndarray:
     """Positions (points, 3) of rows of two or three finite numbers."""
     x = np.atleast_2d(numbers(name, value))
     if x.ndim != 2 or x.shape[1] not in (2, 3) or not len(x) or not np.isfinite(x).all():
@@ -114,7 +116,7 @@ def points(name, value):
     return np.column_stack([x, np.zeros(len(x))]) if x.shape[1] == 2 else x.copy()
 
 
-def per_particle(name, value, count):
+def per_particle(name: str, value: Any, count: int) -> np.ndarray:
     """An array (count,) of finite positive numbers, from one number or one for each particle."""
     a = numbers(name, value)
     if a.shape not in ((), (1,), (count,)):
@@ -123,7 +125,7 @@ def per_particle(name, value, count):
     return np.broadcast_to(a, count).copy()
 
 
-def truth_values(name, value, count):
+def truth_values(name: str, value: Any, count: int) -> np.ndarray:
     """An array (count,) of bool."""
     try:
         a = np.asarray(value)
@@ -134,7 +136,7 @@ def truth_values(name, value, count):
     return a
 
 
-def of_kind(name, value, *kinds):
+def of_kind(name: str, value: Any, *kinds: type) -> Any:
     """The object itself, if it is of one of the kinds; a class is not."""
     if not isinstance(value, kinds):
         wanted = " or ".join(kind.__name__ for kind in kinds)
@@ -143,19 +145,19 @@ def of_kind(name, value, *kinds):
     return value
 
 
-def require_mesh(mesh):
+def require_mesh(mesh: Any) -> None:
     """Raise ``ValueError`` unless this is a mesh, and not the pair that comes with tags."""
     if not hasattr(mesh, "topology") or not hasattr(mesh, "geometry"):
         raise ValueError(f"The mesh is {_short(mesh)}; pass the mesh itself, for instance of mesh, tags = fe_el.box(...).")
 
 
-def same_mesh(name, other, mesh):
+def same_mesh(name: str, other: Any, mesh: Any) -> None:
     """Raise ``ValueError`` if tags or a Function belong to another mesh than this."""
     if not is_of_mesh(other, mesh):
         raise ValueError(f"The {name} belong to another mesh; pass those of the same mesh as the rest.")
 
 
-def require_tags(name, tags, mesh):
+def require_tags(name: str, tags: Any, mesh: Any) -> None:
     """Raise ``ValueError`` unless these are tags of facets of this mesh."""
     if not hasattr(tags, "indices") or not hasattr(tags, "values"):
         raise ValueError(f"The {name} are {_short(tags)}; pass the facet tags that come with the mesh.")
@@ -165,6 +167,6 @@ def require_tags(name, tags, mesh):
     same_mesh(name, tags, mesh)
 
 
-def _short(value):
+def _short(value: Any) -> str:
     text = repr(value)
     return text if len(text) < 80 else text[:77] + "..."

@@ -31,6 +31,10 @@ if TYPE_CHECKING:
     from fe_el.particles.particles import Particles
 
 
+def _first_of(kind, forces):
+    return next((f for f in forces if isinstance(f, kind)), None)
+
+
 class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
     """Momentum exchange of particles with any fluid that takes a void fraction, a drag coefficient and a source.
 
@@ -41,8 +45,7 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
     Args:
         particles (Particles): the particles.
         velocity: the fluid's interstitial velocity, a vector Function or UFL expression [m/s]. Of a fluid that particles do
-            not
-            change, set by the script: that of the middle of the step.
+            not change, set by the script: that of the middle of the step.
         pressure: its pressure, of the middle of the step, a Function or UFL expression [Pa].
         fluid_density, fluid_viscosity (float): [kg/m^3], [Pa s].
         forces: list of :class:`Drag`, :class:`PressureGradient`, :class:`ViscousStress`, :class:`Buoyancy`,
@@ -59,11 +62,9 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
             difference of the two lags by a step, and momentum stays exact.
         largest_solid_fraction (float): cells that hold more hand the excess to their neighbours, conservatively.
         positions (str): the particles' positions that are mapped: of the ``start`` of the step, or of its ``middle``;
-            absent: of
-            the middle, but where a fluid answers: of the start in a liquid, whose answer to what particles displace would be
-                fed
-            back by places ahead, and earlier than the middle in one step of a Courant number above 1, from 4 on of the
-            start.
+            absent: of the middle, but where a fluid answers: of the start in a liquid, whose answer to what particles
+            displace would be fed back by places ahead, and earlier than the middle in one step of a Courant number above 1,
+            from 4 on of the start.
         mean_velocity: mean of the velocity that drag acted on in the step, for a fluid that makes several of its own (as
             :class:`SubCycled`, with its mean pressure for ``pressure``); absent: ``velocity``.
 
@@ -81,6 +82,14 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
     Note:
         Collective.
     """
+
+    fields: tuple[fem.Function, ...]
+    checked: int  #: number of particles that came so far, when they were last checked
+    gradient_mean: PressureGradientMean | None
+    _dt: float | None
+    _kept: tuple[np.ndarray, np.ndarray] | None
+    _mapped: tuple | None
+    layout: int | None
 
     def __init__(self, particles: "Particles", velocity: Any, pressure: Any, fluid_density: float, fluid_viscosity: float,
                  forces: Sequence[Any], scheme: str = "conservative", mapping: str | Any = "overlap_volume",
@@ -116,8 +125,7 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
         self.dimension, self.answers = mesh.topology.dim, None  # whether the fluid changed in the last step
         self.ahead = {"start": 0.0, "middle": 0.5, None: None if mean_velocity is None else 0.5}[positions]
         d = self.dimension
-        self.drag, self.pressure_force, self.buoyancy, law, undisturbed = (
-            next((f for f in forces if isinstance(f, kind)), None) for kind in built_in)
+        self.drag, self.pressure_force, self.buoyancy, law, undisturbed = (_first_of(kind, forces) for kind in built_in)
         self.others = {method: [f for f in others if hasattr(f, method)] for method in METHODS}
         self.others = {method: found for method, found in self.others.items() if found}
         self.added = self._added_mass(law, scheme, mean_velocity)
@@ -272,7 +280,7 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
         p, d, n = self.particles, self.dimension, self.particles.cells.owned
         a, b = self.fields[1].x.array[:n], self.fields[2].x.array.reshape(-1, d)[:n]
         u = self.step_mean()
-        slope = self.gradient_mean() if self.pressure_force is not None else np.zeros((n, 0))
+        slope = np.zeros((n, 0)) if self.pressure_force is None or self.gradient_mean is None else self.gradient_mean()
         rows = self._work.empty("answer", n, d + slope.shape[1])
         received, changed = loops.answer(p.cells.volume[:n], self.fields[0].x.array[:n], a, b, self.cell_velocity, u, slope,
                                          rows)

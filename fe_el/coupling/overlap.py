@@ -210,17 +210,19 @@ class OverlapVolume(ListedShares):
 
     def __init__(self) -> None:
         super().__init__()
-        self._barycentric, self._place, self._scratch = None, np.empty((64, 3)), scratch_for(64)
+        self._barycentric: np.ndarray | None = None
+        self._place, self._scratch = np.empty((64, 3)), scratch_for(64)
         self._overlap_shares, self._spheres = Direct(overlap_shares), None
 
     def prepare(self, cells: "CellMesh", cell: np.ndarray, position: np.ndarray, radius: np.ndarray) -> None:
         """Find the shares of particles at ``position`` with centre in ``cell``."""
         n, done = len(cell), 0
         if self._barycentric is not cells.barycentric:
-            self._barycentric, self._geometry = cells.barycentric, cell_records(cells)
+            self._barycentric, (self._geometry, self._neighbour) = cells.barycentric, cell_records(cells)
             self._slot, self._curve = np.full(len(cells.volume), -1, np.int32), curve_through(cells)
         self._reserve(n, n + len(self._place) + 1)
-        spheres, around = self._in_order(cell, position, radius), CellRecords(*self._geometry, cells.corner, cells.shift)
+        spheres = self._in_order(cell, position, radius)
+        around = CellRecords(self._geometry, self._neighbour, cells.corner, cells.shift)
         while done < n:
             done = self._overlap_shares(around, self._slot, self._place, self._scratch, spheres, done, self._start,
                                         self._cell, self._weight)

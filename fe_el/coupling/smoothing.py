@@ -123,10 +123,10 @@ class HelmholtzSmoothing:
         root = np.sqrt(high / low)
         rate = (root - 1) / (root + 1)
         self.iterations = max(int(np.ceil(np.log(tolerance / 2) / np.log(max(rate, 1e-12)))), 2)
-        rho = [self.half / self.middle]
+        ratios = [self.half / self.middle]
         for _ in range(self.iterations - 1):
-            rho.append(1 / (2 * self.middle / self.half - rho[-1]))
-        rho = np.array(rho)
+            ratios.append(1 / (2 * self.middle / self.half - ratios[-1]))
+        rho = np.array(ratios)
         self.first, self.second = rho[1:] * rho[:-1], 2 * rho[1:] / self.half
 
     def _spectrum(self, elements):

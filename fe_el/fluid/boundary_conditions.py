@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 from fe_el.checks import function_or_class_of, number_or_function
 from fe_el.fluid import cell_kernels, node_kernels
 from fe_el.fluid.boundary_values import velocity_at, volume_flux
+from fe_el.fluid.cell_node_fluid import CellNodeFluid
 from fe_el.fluid.walls import WallFriction, held_directions
 from fe_el.mesh.cell_mesh import group_numbers, refuse_inner_facets, require_groups
 from fe_el.nodes import nodal_kernels
@@ -54,20 +55,20 @@ class BoundaryFacets:
         nodal_kernels.add_to_nodes(self.facet_nodes, values, total)
 
 
-class Boundaries:
+class Boundaries(CellNodeFluid):
     """Boundary conditions of a fluid on tagged facets: what is set, and the values at its nodes at each step."""
 
     def boundary(self, group: int | str) -> BoundaryFacets:
         """Facets and nodes of a boundary group."""
         if self.facet_tags is None:
             raise ValueError(f"Boundary group {group} was named, but no facet_tags were given; pass facet_tags=.")
-        group, *others = self._numbers(group)
+        number, *others = self._numbers(group)
         if others:
-            raise ValueError(f"The boundary group is {(group, *others)}; give one group, by its number or name.")
-        if group not in self._facets:
-            self._facets[group] = BoundaryFacets(self.mesh, self.facet_tags, group, self.dofs, self.corner, self.gradient,
-                                                 self.volume, self.node_halo, self.nodes)
-        return self._facets[group]
+            raise ValueError(f"The boundary group is {(number, *others)}; give one group, by its number or name.")
+        if number not in self._facets:
+            self._facets[number] = BoundaryFacets(self.mesh, self.facet_tags, number, self.dofs, self.corner, self.gradient,
+                                                  self.volume, self.node_halo, self.nodes)
+        return self._facets[number]
 
     def _numbers(self, groups):
         """The groups, by number or by their names in gmsh, as int."""

@@ -24,6 +24,8 @@ class CellsAndNodes(NodalSpace):
         Collective.
     """
 
+    time: float  #: that a scheme on them has come to [s]
+
     def __init__(self, mesh):
         check_simplices(mesh)
         end_all_ranks_on_errors(mesh.comm)

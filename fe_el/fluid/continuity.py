@@ -4,6 +4,7 @@ from mpi4py import MPI
 
 from fe_el.checks import positive_number
 from fe_el.fluid import kernels
+from fe_el.fluid.cell_node_fluid import CellNodeFluid
 from fe_el.nodes.linear_solver import LinearSolver
 from fe_el.nodes.nodal_matrix import NodalMatrix
 
@@ -52,7 +53,7 @@ class ClosedFlux:
         kernels.take_gradient(air.dofs, air.gradient, psi, flux)
 
 
-class Ledger:
+class Ledger(CellNodeFluid):
     """What a fluid knows of its own balances."""
 
     def mass_residual(self) -> float:

@@ -39,6 +39,10 @@ class _Profile:
         """(points,) distance from the nearest wall [m]."""
         return np.maximum(np.min([(position - point) @ normal for point, normal in self.walls], axis=0), 0.0)
 
+    def share(self, distance: np.ndarray) -> np.ndarray:
+        """Part of the velocity at distances from the wall."""
+        raise NotImplementedError
+
     def __call__(self, time: float, position: np.ndarray) -> np.ndarray:
         """Velocity (points, d) [m/s]."""
         return self.share(self.distance(position))[:, None] * self.velocity
@@ -91,7 +95,8 @@ class LogLaw(_Profile):
         self.thickness = positive_number("thickness", thickness)
         self.viscosity = positive_number("kinematic viscosity", kinematic_viscosity)
         self.kappa, self.constant = positive_number("kappa", kappa), positive_number("constant", constant)
-        speed, low, high = np.linalg.norm(self.velocity), 0.0, np.linalg.norm(self.velocity) * 1e3
+        speed = float(np.linalg.norm(self.velocity))
+        low, high = 0.0, speed * 1e3
         for _ in range(200):
             self.friction_velocity = 0.5 * (low + high)
             over = self.friction_velocity * self._law(np.array([self.thickness]))[0] > speed

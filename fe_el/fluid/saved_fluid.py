@@ -1,12 +1,18 @@
 """The state of the fluid, for checkpoints."""
 import numpy as np
 
+from fe_el.fluid.cell_node_fluid import CellNodeFluid
+
 CELLS = ("gain", "fades", "drag_gain", "last_drag", "rate", "void_fraction", "_last_flux")
 NODES = ("nodal_velocity", "force", "nodal_gain", "slip_force", "past_pressures", "last_force", "last_change")
 
 
-class SavedFluid:
+class SavedFluid(CellNodeFluid):
     """What :class:`VolumeAveragedNavierStokes` keeps of itself and takes back."""
+
+    def memory_at_rest(self) -> dict[str, np.ndarray | None]:
+        """What a step takes over from the last, before the first."""
+        raise NotImplementedError
 
     def saved(self) -> dict[str, tuple]:
         """Fields of the fluid that the next step starts from."""
@@ -31,10 +37,10 @@ class SavedFluid:
         for name in CELLS:
             setattr(self, name, cells[name] if name in cells else fresh[name])
         for name in NODES:
-            value = nodes.get(name, fresh[name])
+            value = fresh[name]
             if name in nodes:
-                full = np.zeros((self.nodes, *value.shape[1:]))
-                full[:own] = value
+                full = np.zeros((self.nodes, *nodes[name].shape[1:]))
+                full[:own] = nodes[name]
                 value = self.node_halo.forward(full)
             setattr(self, name, value)
         self.drag_known = bool(same.get("drag_known", False))

@@ -67,12 +67,15 @@ class Scalar:
                              "or a function of positions (nodes, 3) that returns an array (nodes,).")
         self.value = fem.Function(fluid.space, name=name)
         self.value.x.array[:] = start
-        self.source, self.fixed, self.inflow, self.seconds = None, [], [], {name: 0.0}
+        self.source, self.seconds = None, {name: 0.0}
+        self.fixed: list[tuple] = []
+        self.inflow: list[tuple] = []
         self.matrix = NodalMatrix(fluid.space, fluid.dofs)
-        self.name, self.solver = name, None
+        self.name = name
+        self.solver: LinearSolver | None = None
         self.make_solver()
         self.name, self.work, self._held, self._open = name, WorkArrays(), None, None
-        self.outside = None  # (nodes,) values that come back in
+        self.outside: np.ndarray | None = None  # (nodes,) values that come back in
 
     def make_solver(self) -> None:
         """A solver that knows nothing of earlier steps. Collective."""

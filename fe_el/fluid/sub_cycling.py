@@ -63,8 +63,8 @@ class SubCycled:
         Note:
             Collective.
         """
-        air, count = self.fluid, self.steps
-        if count is None:
+        air, count = self.fluid, self.steps or 1
+        if self.courant is not None:
             count = int(np.clip(np.ceil(air.courant(dt) / self.courant), 1, self.most))
         n, phi = air.num_cells, self._void_fraction
         new = fields[0].x.array[:n].copy()

@@ -2,12 +2,13 @@
 import numpy as np
 
 from fe_el.fluid import cell_kernels, kernels, node_kernels
+from fe_el.fluid.cell_node_fluid import CellNodeFluid
 from fe_el.fluid.continuity import ClosedFlux
 from fe_el.fluid.records import Held, Load, Masses, Memory, NodalSystem, Step, Void
 from fe_el.parallel.messages import largest
 
 
-class Transport:
+class Transport(CellNodeFluid):
     """Convection and viscosity by the nodal velocity, of a fluid of cells and nodes."""
 
     def numbers_of_step(self, dt: float) -> Step:

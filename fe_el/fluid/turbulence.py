@@ -3,6 +3,7 @@
 A closure is any callable ``closure(fluid, u)`` that gives the (cells,) eddy viscosity [m^2/s] of the nodal velocity u
 (nodes, d). The filter width D is the cube root of the cell's volume, in two dimensions the square root of its area.
 """
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -86,6 +87,9 @@ def _wale(dofs, gradient, u, width, constant, out):
 
 class _Closure:
     """An eddy viscosity with one constant and a loop over cells."""
+
+    name: str
+    loop: Callable[..., None]
 
     def __init__(self, constant):
         self.constant = positive_number(f"{self.name} constant", constant)

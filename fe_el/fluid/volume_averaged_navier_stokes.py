@@ -12,7 +12,6 @@ from fe_el.dolfinx_api import vector_space
 from fe_el.fluid import cell_kernels, kernels, node_kernels
 from fe_el.fluid.boundary_conditions import Boundaries
 from fe_el.fluid.boundary_values import check_fields, velocity_at
-from fe_el.fluid.cells_and_nodes import CellsAndNodes
 from fe_el.fluid.continuity import Ledger
 from fe_el.fluid.drag_in_transport import DragInTransport
 from fe_el.fluid.pressure_equation import PressureEquation
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
 START_STEPS = 2  # implicit Euler steps that damp a start which does not fit its boundary conditions
 
 
-class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport, SavedFluid):
+class VolumeAveragedNavierStokes(Boundaries, Ledger, Transport, SavedFluid):
     """Flow of a fluid through the void fraction phi left by particles (model A).
 
         d(rho phi)/dt + div(rho phi u) = 0
@@ -79,7 +78,7 @@ class VolumeAveragedNavierStokes(CellsAndNodes, Boundaries, Ledger, Transport, S
                  stress_of_mixture: bool = False, turbulence: Callable[[Any, np.ndarray], np.ndarray] | None = None,
                  time_order: int = 2, stabilisation: "Streamline | Upwind | None" = None) -> None:
         require_mesh(mesh)
-        CellsAndNodes.__init__(self, mesh)
+        super().__init__(mesh)
         if facet_tags is not None:
             require_tags("facet tags of the fluid", facet_tags, mesh)
         self.facet_tags, self.density = facet_tags, positive_number("fluid density", density)

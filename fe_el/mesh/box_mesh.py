@@ -60,12 +60,11 @@ def box(lengths: Sequence[float] | np.ndarray, cells: Sequence[int], comm: MPI.C
     if slices_along is not None:
         nodes = geometry_nodes(mesh) if whole.rank == 0 else np.zeros((0, d + 1), np.int64)
         mesh = create_mesh(whole, nodes, mesh.geometry.x[:, :d] if whole.rank == 0 else np.zeros((0, d)), slices_along)
-    facets, values = [], []
+    found, sides = [], []
     for k in range(d):
         for side, at in enumerate((0.0, lengths[k])):
-            found = dmesh.locate_entities_boundary(mesh, d - 1, partial(_on_side, k, at, 1e-10 * lengths[k]))
-            facets.append(found)
-            values.append(np.full(len(found), 2 * k + side + 1, np.int32))
-    facets, values = np.concatenate(facets), np.concatenate(values)
+            found.append(dmesh.locate_entities_boundary(mesh, d - 1, partial(_on_side, k, at, 1e-10 * lengths[k])))
+            sides.append(np.full(len(found[-1]), 2 * k + side + 1, np.int32))
+    facets, values = np.concatenate(found), np.concatenate(sides)
     order = np.argsort(facets, kind="stable")
     return mesh, dmesh.meshtags(mesh, d - 1, facets[order], values[order])

@@ -69,12 +69,12 @@ def periodic_box(lengths: Sequence[float] | np.ndarray, cells: Sequence[int], pe
     """
     check_box(lengths, cells)
     d = len(cells)
-    periodic = np.ones(d, bool) if periodic is None else np.asarray(periodic, bool)
-    if periodic.shape != (d,) or (np.array(cells)[periodic] < 3).any():
-        raise ValueError(f"The box has cells {list(cells)} and periodic {periodic.tolist()}; give one truth value per "
+    wraps = np.ones(d, bool) if periodic is None else np.asarray(periodic, bool)
+    if wraps.shape != (d,) or (np.array(cells)[wraps] < 3).any():
+        raise ValueError(f"The box has cells {list(cells)} and periodic {wraps.tolist()}; give one truth value per "
                          f"direction "
                          "and at least 3 cells in every periodic one.")
-    numbers, cell_x = _wrapped_cells(lengths, cells, periodic)
+    numbers, cell_x = _wrapped_cells(lengths, cells, wraps)
     first = np.zeros((numbers.max() + 1, d))
     first[numbers[::-1].ravel()] = cell_x[::-1].reshape(-1, d)
     root = comm.rank == 0
@@ -88,8 +88,8 @@ def periodic_box(lengths: Sequence[float] | np.ndarray, cells: Sequence[int], pe
     wanted = np.stack([cell_x[original, np.argmax(numbers[original] == inputs[:, [k]], axis=1)] for k in range(d + 1)], 1)
     mesh = with_geometry(graph, _cellwise_geometry(wanted))
     mesh.period = np.zeros(3)
-    mesh.period[:d] = np.where(periodic, lengths, 0.0)
-    return mesh, _side_tags(mesh, lengths, periodic)
+    mesh.period[:d] = np.where(wraps, lengths, 0.0)
+    return mesh, _side_tags(mesh, lengths, wraps)
 
 
 def _side_tags(mesh, lengths, periodic):

@@ -6,7 +6,7 @@ import traceback
 
 PATIENCE = 2.0  # [s] for the other ranks to come with the same error
 
-_installed = []
+_installed: list[bool] = []
 
 
 def end_all_ranks_on_errors(comm):

@@ -2,9 +2,10 @@
 from numpy.typing import ArrayLike
 
 from fe_el.checks import truth_values
+from fe_el.particles.arrays import ParticleArrays
 
 
-class Held:
+class Held(ParticleArrays):
     """Holding and releasing of :class:`Particles`."""
 
     def hold(self, mask: ArrayLike | None = None) -> None:

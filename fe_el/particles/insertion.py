@@ -31,7 +31,7 @@ class New(NamedTuple):
     number: np.ndarray  #: (n,) particles in each
 
 
-def check(particles, position, diameter, density, velocity, material, coarse_graining, number):
+def check(particles, position, diameter, density, velocity, material, coarse_graining, number) -> New:
     """The arguments of an insertion as full arrays, after checking them."""
     if checks.numbers("positions", position).size == 0:
         raise ValueError("The particle set is empty; give at least one position.")
@@ -54,7 +54,7 @@ def check(particles, position, diameter, density, velocity, material, coarse_gra
                np.broadcast_to(kinds.astype(np.int32), n), checks.per_particle("number of particles in a parcel", number, n))
 
 
-def check_box(particles, lower, upper):
+def check_box(particles, lower, upper) -> list[np.ndarray]:
     """Two corners of as many numbers as the mesh has dimensions."""
     d = particles.mesh.topology.dim
     corners = [checks.numbers(name, value) for name, value in (("lower corner", lower), ("upper corner", upper))]

@@ -4,11 +4,8 @@ import numpy as np
 from fe_el.mesh import cell_mesh as _mesh
 from fe_el.parallel.exchange import largest_of, move, raise_everywhere
 from fe_el.particles import location, motion
-
-FIELDS = {"position": (3,), "velocity": (3,), "angular_velocity": (3,), "diameter": (), "density": (), "force": (3,),
-          "contact_force": (3,), "contact_torque": (3,), "mean_contact_force": (3,), "number": (), "relaxation_rate": ()}
-
-INTEGERS = ("cell", "id", "material", "held")
+from fe_el.particles.arrays import ParticleArrays
+from fe_el.particles.open_boundaries import OpenBoundaries, Rebounds
 
 MOST_REBOUNDS = 8  # of a particle in one step
 
@@ -17,25 +14,14 @@ class LostParticle(RuntimeError):
     """A particle is in no cell of the mesh."""
 
 
-class Migration:
+class Migration(ParticleArrays):
     """What :class:`Particles` do to find their cells and to change rank."""
 
-    position: np.ndarray  # what FIELDS and INTEGERS name, for type checkers
-    velocity: np.ndarray
-    angular_velocity: np.ndarray
-    diameter: np.ndarray
-    density: np.ndarray
-    force: np.ndarray
-    contact_force: np.ndarray
-    contact_torque: np.ndarray
-    mean_contact_force: np.ndarray
-    number: np.ndarray
-    relaxation_rate: np.ndarray
-    cell: np.ndarray
-    id: np.ndarray
-    material: np.ndarray
-    held: np.ndarray
-    properties: dict[str, np.ndarray]
+    halo_width: float  #: [m], of the cells known around the owned ones
+    _curve: np.ndarray | None
+    _place: tuple[np.ndarray, np.ndarray] | None
+    _open: OpenBoundaries | None
+    _rebounds: Rebounds | None
 
     def reach_halo(self, width: float) -> None:
         """Make the halo of cells at least ``width`` wide [m]."""
@@ -48,18 +34,6 @@ class Migration:
             number = len(self.cells.volume)
             self._cell_owner = (self.halo.forward(np.full(number, self.comm.rank, np.int32)),
                                 self.halo.forward(np.arange(number, dtype=np.int32)))
-
-    def arrays(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-        """Names and arrays of everything that travels with a particle."""
-        own = {name: getattr(self, name) for name in (*FIELDS, *INTEGERS)}
-        return own, self.properties
-
-    def select(self, rows: np.ndarray) -> None:
-        """Keep the given rows, in that order."""
-        for name in (*FIELDS, *INTEGERS):
-            setattr(self, name, np.ascontiguousarray(getattr(self, name)[rows]))
-        self.properties = {name: a[rows] for name, a in self.properties.items()}
-        self.layout += 1
 
     def put_in_order(self) -> None:
         """Sort many particles by their cells where those that follow each other in memory are no longer near in space."""

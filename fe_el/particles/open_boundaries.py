@@ -194,9 +194,10 @@ class Inlet:
                                               _mesh.require_groups(particles.mesh, facet_tags, group))
         self.others, self.balls = every[~chosen], facet_balls(every[~chosen]) if not chosen.all() else np.zeros((0, 7))
         self.generator = np.random.default_rng(seed)
-        self.inserted, self.waiting, self.next = 0, 0.0, None
+        self.inserted, self.waiting = 0, 0.0
+        self.next: float | None = None  # diameter of the one that waits [m]
 
-    def _draw_diameter(self):
+    def _draw_diameter(self) -> float:
         if callable(self.diameter):
             d = float(np.ravel(self.diameter(self.generator, 1))[0])
             require_positive("diameter", d)
@@ -208,16 +209,17 @@ class Inlet:
         """Let in the mass of ``dt`` [s]; returns the number of new particles."""
         self.waiting += self.mass_rate * positive_number("time step", dt)
         near, radii = self._particles_near()
-        new, sizes = [], []
+        new: list[np.ndarray] = []
+        sizes: list[float] = []
         while True:
-            self.next = self.next or self._draw_diameter()
-            mass = self.density * np.pi / 6 * self.next ** 3
-            place = self._free_place(near, radii, self.next / 2, dt) if mass <= self.waiting else None
+            self.next = size = self.next or self._draw_diameter()
+            mass = self.density * np.pi / 6 * size ** 3
+            place = self._free_place(near, radii, size / 2, dt) if mass <= self.waiting else None
             if place is None:
                 break
             new.append(place)
-            sizes.append(self.next)
-            near, radii = np.vstack([near, place]), np.append(radii, self.next / 2)
+            sizes.append(size)
+            near, radii = np.vstack([near, place]), np.append(radii, size / 2)
             self.waiting -= mass
             self.next = None
         if new:

@@ -9,8 +9,8 @@ from fe_el.checks import finite_vector, numbers, positive_number, require_mesh, 
 from fe_el.parallel.exchange import raise_everywhere
 from fe_el.parallel.failures import end_all_ranks_on_errors
 from fe_el.particles import insertion, motion, rows
+from fe_el.particles.arrays import FIELDS
 from fe_el.particles.held import Held
-from fe_el.particles.migration import FIELDS, Migration
 from fe_el.particles.open_boundaries import OpenBoundaries, Rebounds
 from fe_el.particles.saved_particles import SavedParticles
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from fe_el.particles.multiphase_pic import MultiphasePIC
 
 
-class Particles(SavedParticles, Migration, Held):
+class Particles(SavedParticles, Held):
     """Spheres with position [m], velocity [m/s], angular velocity [1/s], diameter [m] and density [kg/m^3].
 
     A parcel stands for ``number`` particles of ``primary_diameter``, whole or not, each parcel for its own: ``diameter`` is
@@ -57,50 +57,8 @@ class Particles(SavedParticles, Migration, Held):
         self.held = np.zeros(0, bool)
         self.period = getattr(mesh, "period", None)
         self.properties, self.next_id, self.layout = {}, 0, 0
-        self._room = {}  # memory of the arrays, longer than they are
+        self._room: dict[str, np.ndarray] = {}  # memory of the arrays, longer than they are
         self.reach_halo(0.0)
-
-    def __len__(self) -> int:
-        return len(self.id)
-
-    @property
-    def total_number(self) -> int:
-        """Number of particles on all ranks."""
-        return self.comm.allreduce(len(self))
-
-    @property
-    def volume(self) -> np.ndarray:
-        """(particles,) volume [m^3]."""
-        return np.pi / 6 * (self.diameter * self.diameter * self.diameter)  # a power costs five times as much
-
-    @property
-    def coarse_graining(self) -> np.ndarray:
-        """(particles,) diameter of each parcel over that of its particles: the cube root of ``number``."""
-        return self.diameter / self.primary_diameter
-
-    @property
-    def primary_diameter(self) -> np.ndarray:
-        """(particles,) diameter of the particles that each parcel stands for [m]; of a single particle its own."""
-        return motion.primary_diameters(self.diameter, self.number)
-
-    @property
-    def mass(self) -> np.ndarray:
-        """(particles,) mass [kg]."""
-        return self.density * self.volume
-
-    @property
-    def inertia(self) -> np.ndarray:
-        """(particles,) mass with the added mass, if there is one [kg]."""
-        return self.mass + self.properties["added_mass"] if "added_mass" in self.properties else self.mass
-
-    @property
-    def late(self) -> np.ndarray:
-        """(particles,) share of the coming step after which each particle comes in; without rows: all are here already."""
-        return self.properties.get("_late", np.zeros(0))
-
-    def speed(self) -> float:
-        """Largest speed of a particle on this rank [m/s]. Not collective."""
-        return float(np.sqrt((self.velocity ** 2).sum(1).max(initial=0.0)))
 
     # -- insertion -------------------------------------------------------------------------------------------------
 
@@ -123,16 +81,16 @@ class Particles(SavedParticles, Migration, Held):
         Note:
             Collective.
         """
-        x, diameter, density, velocity, material, number = insertion.check(
-            self, position, diameter, density, velocity, material, coarse_graining, number)
+        given = insertion.check(self, position, diameter, density, velocity, material, coarse_graining, number)
+        x = given.position
         x[:, :self.mesh.topology.dim] += insertion.displacements(len(x), self.mesh.topology.dim, displacement, seed)
-        self.reach_halo(3.0 * diameter.max())
+        self.reach_halo(3.0 * given.diameter.max())
         cell = insertion.claim(self, x)
         mine = np.flatnonzero(cell >= 0)
-        new = {name: np.zeros((len(mine), *shape)) for name, shape in FIELDS.items()}
-        new["position"], new["velocity"], new["diameter"] = x[mine], velocity[mine], diameter[mine]
-        new["density"], new["number"] = density[mine], number[mine]
-        new |= {"cell": cell[mine], "id": self.next_id + mine, "held": np.zeros(len(mine), bool), "material": material[mine]}
+        new: dict[str, np.ndarray] = {name: np.zeros((len(mine), *shape)) for name, shape in FIELDS.items()}
+        for name in ("position", "velocity", "diameter", "density", "number", "material"):
+            new[name] = getattr(given, name)[mine]
+        new |= {"cell": cell[mine], "id": self.next_id + mine, "held": np.zeros(len(mine), bool)}
         for name, a in new.items():
             own, self._room[name] = rows.appended(getattr(self, name), a, self._room.get(name))
             setattr(self, name, own)
@@ -161,11 +119,14 @@ class Particles(SavedParticles, Migration, Held):
         """
         lower, upper = insertion.check_box(self, lower, upper)
         require_positive("diameter", diameter)
-        there = insertion.spheres_near(self, lower, upper, 0.5 * np.max(diameter)) if without_overlap else None
-        near = insertion.boundary_near(self, lower, upper, 0.5 * np.max(diameter)) if without_overlap else None
-        for wall in walls if without_overlap else ():
-            if hasattr(wall, "corners"):
-                near = np.concatenate([near.reshape(-1, 3, 3), wall.corners()])
+        there = near = None
+        if without_overlap:
+            radius = 0.5 * numbers("diameter", diameter).max()
+            there = insertion.spheres_near(self, lower, upper, radius)
+            near = insertion.boundary_near(self, lower, upper, radius)
+            for wall in walls:
+                if hasattr(wall, "corners"):
+                    near = np.concatenate([near.reshape(-1, 3, 3), wall.corners()])
         x = insertion.random_positions(lower, upper, count, diameter, seed, without_overlap, self.period, there, near,
                                        insertion.shapes_of(walls))
         self.insert_at(x, diameter, density, velocity, **kind)

@@ -2,9 +2,10 @@
 import numpy as np
 
 from fe_el.mesh.places import nearest
+from fe_el.particles.migration import Migration
 
 
-class SavedParticles:
+class SavedParticles(Migration):
     """What :class:`Particles` keep of themselves and take back."""
 
     def saved(self) -> dict[str, tuple]:

@@ -32,24 +32,24 @@ class SizeDistribution:
         require_positive("diameter", lower)
         require_positive("diameter", upper)
         require_not_negative("shares of the sizes", shares)
-        self.lower, self.upper, shares = (np.atleast_1d(np.asarray(a, float)) for a in (lower, upper, shares))
+        self.lower, self.upper, part = (np.atleast_1d(np.asarray(a, float)) for a in (lower, upper, shares))
         if by not in ("number", "mass"):
             raise ValueError(f"The shares of the sizes are by {by!r}; use 'number' or 'mass'.")
-        if not self.lower.shape == self.upper.shape == shares.shape or shares.ndim != 1:
+        if not self.lower.shape == self.upper.shape == part.shape or part.ndim != 1:
             raise ValueError(f"The sizes have bounds of shapes {self.lower.shape} and {self.upper.shape}, their shares have "
-                             f"shape {shares.shape}; give one of each for each class.")
-        if not (self.upper >= self.lower).all() or not shares.sum() > 0:
+                             f"shape {part.shape}; give one of each for each class.")
+        if not (self.upper >= self.lower).all() or not part.sum() > 0:
             raise ValueError("The upper bounds of the sizes must not be below the lower ones, nor all shares zero.")
         cube = (self.lower + self.upper) * (self.lower ** 2 + self.upper ** 2) / 4  # mean of the cube over a class
-        self.by_number = shares / cube if by == "mass" else shares.copy()
+        self.by_number = part / cube if by == "mass" else part.copy()
         self.by_number /= self.by_number.sum()
-        self.smallest, self.largest = self.lower[shares > 0].min(), self.upper[shares > 0].max()
+        self.smallest, self.largest = self.lower[part > 0].min(), self.upper[part > 0].max()
 
     @classmethod
     def listed(cls, diameters: ArrayLike, shares: ArrayLike | None = None, by: str = "number") -> "SizeDistribution":
         """Single sizes (sizes,) [m] with shares of the number or the mass of all; absent: equal shares."""
-        diameters = np.atleast_1d(numbers("diameters", diameters))
-        return cls(diameters, diameters, np.ones(len(diameters)) if shares is None else numbers("shares", shares), by)
+        sizes = np.atleast_1d(numbers("diameters", diameters))
+        return cls(sizes, sizes, np.ones(len(sizes)) if shares is None else numbers("shares", shares), by)
 
     @classmethod
     def sieves(cls, openings: ArrayLike, passing: ArrayLike) -> "SizeDistribution":

@@ -35,7 +35,8 @@ class Probe:
     def __init__(self, functions: "Sequence[fem.Function]", points: ArrayLike) -> None:
         if not isinstance(functions, (list, tuple)) or not functions:
             raise ValueError(f"The functions of a probe are {str(functions)[:60]!r}; give a list of at least one Function.")
-        self.functions, self.rows = [function_of_mesh("function of a probe", f) for f in functions], []
+        self.functions = [function_of_mesh("function of a probe", f) for f in functions]
+        self.rows: list[tuple] = []
         mesh = self.functions[0].function_space.mesh
         for f in self.functions:
             same_mesh("functions of a probe", f, mesh)

@@ -72,8 +72,9 @@ class ParaViewOutput:
         self.every = None if every is None else positive_number("time between outputs (every)", every)
         self.comm = particles.comm if particles is not None else self.fields[0].function_space.mesh.comm
         self.seconds = {"output": 0.0}
-        self.next_time, self.written = -np.inf, {"particles": [], "contacts": [], "fluid": [], "times": []}
-        self.guarding, self.remembered = False, None
+        self.next_time, self.guarding = -np.inf, False
+        self.written: dict[str, list] = {"particles": [], "contacts": [], "fluid": [], "times": []}
+        self.remembered: tuple | None = None  # the last good state
         self.folder.mkdir(parents=True, exist_ok=True)
         if self.fields:
             corner, _ = owned_corners(self.fields[0].function_space.mesh)

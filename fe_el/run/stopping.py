@@ -42,7 +42,8 @@ class StopAndSave:
             raise ValueError(f"save is {save!r}; pass a function without arguments that writes the state.")
         self.save, self.comm, self.start = save, comm, time.monotonic()
         self.wall_time = np.inf if wall_time is None else positive_number("wall_time", wall_time)
-        self.reason, self._before = 0, {}
+        self.reason = 0
+        self._before: dict[int, Any] = {}  # handlers of the signals
 
     def __enter__(self) -> "StopAndSave":
         for number in (signal.SIGTERM, signal.SIGUSR1):

@@ -51,7 +51,8 @@ def write_summary(folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, **numbers
     """
     if not isinstance(folder, (str, Path)):
         raise ValueError(f"The folder of the summary is {folder!r}; give its name.")
-    out, bad = {**numbers, "ranks": comm.size, **versions()}, []
+    out = {**numbers, "ranks": comm.size, **versions()}
+    bad: list[str] = []
     plain = _plain(out, "", bad)
     fault = None
     if comm.rank == 0:

@@ -66,8 +66,10 @@ class adaptive_steps:  # noqa: N801  called like time_steps
         if not positive_number("growth of the steps (growth)", growth) >= 1:
             raise ValueError(f"The growth of the steps (growth) is {growth}; it must be at least 1.")
         self.fluid, self.end_time, self.courant, self.first = fluid, end_time, courant, first
-        self.largest, self.growth, self.progress, self.dt = largest, growth, progress, None
-        self._steps, self.time = None, None
+        self.largest, self.growth, self.progress = largest, growth, progress
+        self._steps: Iterator[tuple[float, float]] | None = None
+        self.dt: float | None = None
+        self.time: float | None = None
 
     def __iter__(self) -> "adaptive_steps":
         return self

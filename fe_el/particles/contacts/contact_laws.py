@@ -56,6 +56,8 @@ def pair_table(name, value, materials):
 class _Law:
     """What both laws share: restitution, friction, rolling friction and cohesion of each pair of materials."""
 
+    kind: int  #: as in :class:`LawNumbers`
+
     def __setattr__(self, name, value):
         """Refuse changes of a finished law, which its tables would not follow."""
         if "stiffness" in self.__dict__:
@@ -128,7 +130,7 @@ class LinearSpringDashpot(_Law):
         restitution, friction = numbers("restitution", restitution), numbers("friction", friction)
         surface_energy = numbers("surface energy", surface_energy)
         if numbers("cohesion", cohesion).any():
-            raise ValueError(f"The linear law has cohesion {cohesion} J/m^3; an attraction by the contact area only takes "
+            raise ValueError(f"The linear law has cohesion {cohesion!r} J/m^3; an attraction by the contact area only takes "
                              "from a linear stiffness and nothing sticks. Give surface_energy= [J/m^2], or use a "
                              "HertzMindlin law.")
         kt = numbers("tangential stiffness ratio", tangential_stiffness_ratio)

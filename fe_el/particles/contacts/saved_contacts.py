@@ -1,9 +1,15 @@
 """The state of contacts, for checkpoints: springs by what does not change, and where walls are."""
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from fe_el.mesh.places import nearest
 from fe_el.parallel.exchange import largest_of
 from fe_el.particles.contacts.springs import Kept
+
+if TYPE_CHECKING:
+    from fe_el.particles.contacts.contact_lists import ContactLists
+    from fe_el.particles.particles import Particles
 
 
 class SavedLists:
@@ -42,9 +48,14 @@ class SavedLists:
 class SavedContacts:
     """What :class:`Contacts` keep of themselves and take back."""
 
+    particles: "Particles"
+    lists: "ContactLists"
+    layout: int | None  #: of the particles, when the lists were made
+
     def saved(self) -> dict[str, tuple]:
         """Springs of the live contacts, by the particles' numbers and the places of the facets; moving walls."""
-        lists, p, out = self.lists, self.particles, {}
+        lists, p = self.lists, self.particles
+        out: dict[str, tuple] = {}
         kept = lists.collect(self.step, self.layout)
         for (particle, partner, spring), name in zip(kept, ("pairs", "facets", "shapes")):
             other = partner

@@ -33,6 +33,7 @@ class _Wall:
     0.05 kg that may move up and down, under a force of 2 N (its weight included) and that of the particles.
     """
 
+    kind: int  #: PLANE, CYLINDER, FACETS or SURFACE
     #: (force (3,) [N], mass [kg]): the wall moves along this force, driven by it and by the particles; absent: not
     load: tuple[ArrayLike, float] | None = None
     #: function time -> (velocity (3,), angular velocity (3,)); absent: they stay as they are
