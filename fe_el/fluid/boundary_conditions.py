@@ -8,6 +8,7 @@ from fe_el.checks import function_or_class_of, number_or_function
 from fe_el.fluid import cell_kernels, node_kernels
 from fe_el.fluid.boundary_values import velocity_at, volume_flux
 from fe_el.fluid.cell_node_fluid import CellNodeFluid
+from fe_el.fluid.state import StepState
 from fe_el.fluid.walls import WallFriction, held_directions
 from fe_el.mesh.cell_mesh import group_numbers, refuse_inner_facets, require_groups
 from fe_el.nodes import nodal_kernels
@@ -152,14 +153,14 @@ class Boundaries(CellNodeFluid):
         self.held, self._wall_share = np.flatnonzero(self.fixed), None
         self.wall_friction = WallFriction(self, self.no_slip) if self.no_slip else None
 
-    def check_closed(self, dt: float) -> None:
+    def check_closed(self, step: StepState) -> None:
         """Raise ``ValueError`` if more fluid comes into a domain without outlet than room for it: by inlets, sources,
         particles."""
-        made, size = cell_kernels.totals(self.supply, self.volume)
-        come = self.inflow.sum()
+        made, size = cell_kernels.totals(step.supply, self.volume)
+        come = step.inflow.sum()
         sums = self.comm.allreduce(np.array([-come, -made, abs(come) + size, self.volume.sum()]))
         net = sums[0] + sums[1]
-        if abs(net) > 1e-6 * sums[2] + 1e-10 * sums[3] / dt:
+        if abs(net) > 1e-6 * sums[2] + 1e-10 * sums[3] / step.dt:
             raise ValueError(f"At time {self.time:g} s inlets let {sums[0]:g} m^3/s into a domain without outlet, and "
                              f"particles and mass "
                              f"sources displace {sums[1]:g} m^3/s, together {net:g} m^3/s; add set_pressure(group).")
@@ -209,15 +210,16 @@ class Boundaries(CellNodeFluid):
         Raises:
             RuntimeError: before the first step.
         """
-        facets, d, own = self.boundary(group), self.dimension, self.owned_nodes
-        if self.step == 0 or not self.ready:
+        facets, d = self.boundary(group), self.dimension
+        step = self.last_step
+        if step is None or not self.ready:
             raise RuntimeError(f"The force on boundary {group} is not known before a step; call advance first.")
         p = self.pressure.x.array[facets.facet_nodes].mean(1) if len(facets.cell) else np.zeros(0)
         pressure = (p[:, None] * facets.area_normal).sum(0).reshape(d)
-        return self.comm.allreduce(pressure), self.comm.allreduce(self._friction_on(facets, own))
+        return self.comm.allreduce(pressure), self.comm.allreduce(self._friction_on(facets, step))
 
-    def _friction_on(self, facets, own):
-        """This rank's part of the friction on the wall with these facets (d,) [N]."""
+    def _friction_on(self, facets, step):
+        """This rank's part of the friction of a step on the wall with these facets (d,) [N]."""
         walls = [f for f, *_ in (*self.no_slip, *self.slip)]
         if not any(f is facets for f in walls):
             return np.zeros(self.dimension)
@@ -227,9 +229,9 @@ class Boundaries(CellNodeFluid):
                 self._wall_share[wall.nodes] += wall.number
             for inlet, _ in self.inlets:
                 self._wall_share[inlet.nodes] = np.inf
-        mine = facets.nodes < own
+        mine = facets.nodes < self.owned_nodes
         nodes = facets.nodes[mine]
         share = (facets.number[mine] / self._wall_share[nodes])[:, None]
         friction = 0.0 if self.wall_friction is None else self.wall_friction.force_on(facets)
-        held = np.where(self.fixed[nodes, None], self.reaction[nodes], self.slip_force[nodes])
-        return friction - (share * (held - self._taken[nodes] + self._given[nodes])).sum(0)
+        held = np.where(self.fixed[nodes, None], step.reaction[nodes], self.state.slip_force[nodes])
+        return friction - (share * (held - step.taken[nodes] + step.given[nodes])).sum(0)

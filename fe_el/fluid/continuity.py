@@ -3,10 +3,33 @@ import numpy as np
 from mpi4py import MPI
 
 from fe_el.checks import positive_number
-from fe_el.fluid import kernels
+from fe_el.compiled.for_each_dimension import D, M, by_dimension
 from fe_el.fluid.cell_node_fluid import CellNodeFluid
+from fe_el.fluid.pressure_equation import poisson_matrix
 from fe_el.nodes.linear_solver import LinearSolver
 from fe_el.nodes.nodal_matrix import NodalMatrix
+
+
+@by_dimension
+def mass_balance(dofs, grad, volume, phi, rate, q, residual, scale):
+    """Nodal residual of (phi u, grad w) = (dphi/dt, w), and the sum of what passes each node."""
+    n = len(dofs)
+    for c in range(n):
+        for i in range(M):
+            flux = 0.0
+            for k in range(D):
+                flux += grad[c, i, k] * q[c, k]
+            residual[dofs[c, i]] += volume[c] * (phi[c] * flux - rate[c] / M)
+            scale[dofs[c, i]] += volume[c] * (abs(phi[c] * flux) + abs(rate[c] / M))
+
+
+@by_dimension
+def take_gradient(dofs, grad, psi, flux):
+    """Subtract the gradient of a nodal function from ``flux``."""
+    for c in range(len(dofs)):
+        for k in range(D):
+            for i in range(M):
+                flux[c, k] -= grad[c, i, k] * psi[dofs[c, i]]
 
 
 class ClosedFlux:
@@ -25,23 +48,23 @@ class ClosedFlux:
     def __init__(self, fluid):
         self.fluid, self.whole = fluid, np.ones(fluid.num_cells)
         laplacian = NodalMatrix(fluid.space, fluid.dofs)
-        kernels.poisson_matrix(fluid.dofs, laplacian.place, fluid.gradient, fluid.volume, laplacian.values)
+        poisson_matrix(fluid.dofs, laplacian.place, fluid.gradient, fluid.volume, laplacian.values)
         none = fluid.nodal_zeros((1,))
         laplacian.fix(fluid.fixed_pressure, none, none)
         laplacian.assemble()
         self.matrix = laplacian.matrix
         self.solver = LinearSolver(self.matrix, "flux", "cg", "gamg", fluid.tolerance, not fluid.outlets)
 
-    def __call__(self, flux, time):
-        """Close the flux (cells, d) [kg/(m^2 s)] of the step whose middle is ``time`` [s], in place."""
+    def __call__(self, step, time):
+        """Close the mass flux of the :class:`StepState` whose middle is ``time`` [s], in place."""
         air, own, n = self.fluid, self.fluid.owned_nodes, self.fluid.num_cells
-        supply = air.work.empty("supply", n)
-        supply[:] = air.rate
+        supply, flux = air.work.empty("supply_of_flux", n), step.flux
+        supply[:] = step.rate
         if air.mass_source is not None:
             supply -= air.at_cells(air.mass_source, (n,), time)
         supply *= air.density
         residual, scale = air.work.zeros("residual", air.nodes), air.work.zeros("scale", air.nodes)
-        kernels.mass_balance(air.dofs, air.gradient, air.volume, self.whole, supply, flux, residual, scale)
+        mass_balance(air.dofs, air.gradient, air.volume, self.whole, supply, flux, residual, scale)
         inflow = air.inflow_at(time)
         inflow *= air.density
         residual += inflow
@@ -50,19 +73,25 @@ class ClosedFlux:
         psi = air.work.zeros("potential", air.nodes)
         psi[:own] = self.solver.solve(residual[:own], psi[:own])
         air.node_halo.forward(psi)
-        kernels.take_gradient(air.dofs, air.gradient, psi, flux)
+        take_gradient(air.dofs, air.gradient, psi, flux)
 
 
 class Ledger(CellNodeFluid):
     """What a fluid knows of its own balances."""
 
     def mass_residual(self) -> float:
-        """Largest nodal residual of continuity over the largest flux through a node (outlets left out)."""
-        d = self.dimension
+        """Largest nodal residual of continuity over the largest flux through a node (outlets left out).
+
+        Raises:
+            RuntimeError: before the first step.
+        """
+        d, step = self.dimension, self.last_step
+        if step is None:
+            raise RuntimeError("The residual of mass is not known before a step; call advance first.")
         residual, scale = self.nodal_zeros(()), self.nodal_zeros(())
         q = self.velocity.x.array.reshape(-1, d)[:self.num_cells]
-        kernels.mass_balance(self.dofs, self.gradient, self.volume, self.void_fraction, self.supply, q, residual, scale)
-        residual += self.inflow
+        mass_balance(self.dofs, self.gradient, self.volume, step.after, step.supply, q, residual, scale)
+        residual += step.inflow
         self.complete(residual, scale)
         residual[self.fixed_pressure] = 0.0
         largest = self.comm.allreduce(np.abs(residual).max(initial=0.0), op=MPI.MAX)

@@ -1,6 +1,7 @@
 """Transport with drag inside, for steps that are long against the viscous fading of what one cell alone feels."""
-from fe_el.fluid import drag_kernels, kernels
-from fe_el.fluid.records import Drag, Faded, Masses
+from fe_el.fluid import drag_kernels
+from fe_el.fluid.records import Drag, Faded
+from fe_el.fluid.relaxation import VISCOUS, fade
 from fe_el.parallel.messages import largest
 
 FASTEST = 0.1  # fading by viscosity in a step, k dt, below which the last step's drag tells enough of this one's
@@ -12,9 +13,9 @@ class DragInTransport:
     Such a force is balanced by viscosity within 1/k, k the rate at which what the nodes do not carry, r = q - mean u, fades.
     Exchange knows the fluid's inertia alone. Where a step is longer than 1/k, transport foresees the gain g = p + b of the
     cells: p by pressure, as of the last step (less where drag goes away, which had balanced it), and b by drag A and source
-    B of this step, all implicit, with S = rho phi, theta of r left after the step, and dt - lag of a gain that stays in r:
+    B of this step, all implicit, with S = rho phi, the part ``left`` of r, and dt - lag of a gain that stays in r:
 
-        S b = B - A (mean new + r'),   r' = theta r + (dt - lag) (g - mean nodal gain).
+        S b = B - A (mean new + r'),   r' = left r + (dt - lag) (g - mean nodal gain).
 
     Nodes are given S g and the momentum that r loses, S (r_0 - r') / dt, by viscosity inside the implicit solve, which so
     has drag on its diagonal. Exchange then starts from mean new + r' - dt g: it finds the same drag, and what pressure
@@ -28,47 +29,47 @@ class DragInTransport:
     """
 
     def __init__(self, fluid):
-        self.fluid, self.active = fluid, False
-        self.rate = kernels.VISCOUS[fluid.dimension - 2] * fluid.viscosity / fluid.density  # times 1/h^2
+        self.fluid = fluid
+        self.rate = VISCOUS[fluid.dimension - 2] * fluid.viscosity / fluid.density  # times 1/h^2
         self.fastest = self.rate * largest(fluid.ranks, float((1.0 / fluid.h ** 2).max(initial=0.0)))
 
-    def start(self, dt, drag, source):
+    def start(self, step):
         """Whether the step has drag or sources, and is long enough."""
-        air = self.fluid
-        self.active = not air.upwind and self.fastest * dt > FASTEST and bool(
-            largest(air.ranks, float(drag_kernels.any_of(drag, source))))
-        if self.active and not air.drag_known:  # the first such step: what was gained counts as drag
-            air.drag_gain[:] = air.gain
-        self.drag, self.source = drag, source
-        return self.active
+        air, state = self.fluid, self.fluid.state
+        step.drag_inside = not air.upwind and self.fastest * step.dt > FASTEST and bool(
+            largest(air.ranks, float(drag_kernels.any_of(step.drag, step.source))))
+        if step.drag_inside and not state.drag_known:  # the first such step: what was gained counts as drag
+            state.drag_gain[:] = state.gain
 
-    def add(self, dt, q, u, load):
-        """Add to the matrix of transport and its load (nodes, d); q and u: velocities of cells and nodes at the start."""
-        air, work = self.fluid, self.fluid.work
+    def add(self, step, load):
+        """Add to the matrix of transport and its load (nodes, d)."""
+        air, work, state = self.fluid, self.fluid.work, self.fluid.state
         split, part = work.empty("viscous_share", air.num_cells), work.empty("drag_part", air.num_cells)
-        drag_kernels.share_of_viscosity(q, air.h, self.rate, split)
-        self.seen = Drag(self.drag, air.last_drag, self.source, air.drag_gain, split, part)
-        self.by_pressure = work.other("by_pressure", air.last_force, air.nodes, air.dimension)
-        self.by_pressure.fill(0.0)
-        drag_kernels.drag_in_transport(air.cells, air.numbers_of_step(dt), Masses(air.cell_mass0, air.cell_mass),
-                                       air.transport_matrix.entries, self.seen, q, u, air.memory(), load, self.by_pressure)
-        air.complete(self.by_pressure)
+        drag_kernels.share_of_viscosity(step.velocity, air.h, self.rate, split)
+        self.seen = Drag(step.drag, state.last_drag, step.source, state.drag_gain, split, part)
+        step.by_pressure = work.other("by_pressure", state.last_force, air.nodes, air.dimension)
+        step.by_pressure.fill(0.0)
+        drag_kernels.drag_in_transport(air.cells, step.numbers, step.masses, air.transport_matrix.entries, self.seen,
+                                       step.velocity, step.nodal_velocity, step.memory, load, step.by_pressure)
+        air.complete(step.by_pressure)
 
-    def close(self, dt, q, u, new):
-        """What cells keep and the momentum that faded by convection, per node, for the ``new`` nodal velocity."""
-        air, work = self.fluid, self.fluid.work
-        kept, defect = work.empty("kept", *q.shape), work.zeros("defect", air.nodes, air.dimension)
-        air.mass, self.given = work.zeros("mass", air.nodes), work.zeros("given_force", air.nodes, air.dimension)
-        masses, sums = Masses(air.cell_mass0, air.cell_mass), Faded(air.mass, defect, self.given)
-        drag_kernels.fade_with_drag(air.cells, air.numbers_of_step(dt), masses, self.seen, q, u, new, air.memory(), kept,
-                                    sums)
-        air.complete(air.mass, self.given)
-        drag_kernels.before_exchange(air.dofs, dt, q, u, self.given, air.mass, air.gain, kept, air.fades)
-        return kept, defect
+    def close(self, step, new):
+        """What cells keep, and the momentum that faded by convection, per node of this rank, for the ``new`` nodal
+        velocity."""
+        air, work, q, u = self.fluid, self.fluid.work, step.velocity, step.nodal_velocity
+        step.kept, defect = work.empty("kept", *q.shape), work.zeros("defect", air.nodes, air.dimension)
+        step.nodal_mass, step.given = work.zeros("nodal_mass", air.nodes), work.zeros("given_force", *defect.shape)
+        gain, fades = step.memory.gain, step.memory.fades
+        drag_kernels.gain_with_nodes(air.cells, step.masses.after, self.seen.part, new, gain, step.given)
+        fade(air.cells, step.numbers, step.masses, step.memory, self.seen.split, step.dt, q, u, step.kept,
+             Faded(step.nodal_mass, defect))
+        air.complete(step.nodal_mass, step.given)
+        drag_kernels.before_exchange(air.dofs, step.dt, q, u, step.given, step.nodal_mass, gain, step.kept, fades)
+        return defect
 
-    def keep(self, dt, phi, q):
-        """Remember what drag and sources gave in this step, if the next may ask for it."""
-        air = self.fluid
-        air.drag_known = self.active or self.fastest * dt > 0.1 * FASTEST
-        if air.drag_known:
-            drag_kernels.gain_by_drag(air.density, phi, self.drag, self.source, q, air.drag_gain, air.last_drag)
+    def keep(self, step, q):
+        """Remember what drag and sources gave in this step, if the next may ask for it; ``q``: velocity of the cells now."""
+        air, state = self.fluid, self.fluid.state
+        state.drag_known = step.drag_inside or self.fastest * step.dt > 0.1 * FASTEST
+        if state.drag_known:
+            drag_kernels.gain_by_drag(air.density, step.after, step.drag, step.source, q, state.drag_gain, state.last_drag)

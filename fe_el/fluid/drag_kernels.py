@@ -1,7 +1,7 @@
 """Numba loops of transport with drag: see :mod:`fe_el.fluid.drag_in_transport`."""
 from fe_el.compiled.cache import njit
 from fe_el.compiled.for_each_dimension import FAST, D, M, by_dimension
-from fe_el.fluid.kernels import fading_rate
+from fe_el.fluid.relaxation import fading_rate
 
 
 @by_dimension
@@ -14,7 +14,7 @@ def drag_in_transport(cells, step, masses, entries, given, q, u, known, load, by
     dofs, volume, dt, mass0, mass1 = cells.dofs, cells.volume, step.dt, masses.before, masses.after
     drag, last_drag, source, drag_gain = given.now, given.last, given.source, given.gain
     split, part = given.split, given.part
-    gain, nodal_gain, theta, lag = known.gain, known.nodal_gain, known.theta, known.lag
+    gain, nodal_gain, left, lag = known.gain, known.nodal_gain, known.left, known.lag
     place, values = entries.place, entries.values
     n = len(dofs)
     share = 1.0 / M
@@ -30,8 +30,8 @@ def drag_in_transport(cells, step, masses, entries, given, q, u, known, load, by
                 rise += nodal_gain[dofs[c, i], k]
             r = q[c, k] - share * mean
             p = less * (gain[c, k] - drag_gain[c, k])
-            g = p + rest * (source[c, k] - drag[c] * (theta[c] * r + stay * (p - share * rise)))
-            kept = theta[c] * r + stay * (g - share * rise)
+            g = p + rest * (source[c, k] - drag[c] * (left[c] * r + stay * (p - share * rise)))
+            kept = left[c] * r + stay * (g - share * rise)
             gain[c, k] = g
             force = share * (mass1[c] * g - split[c] / dt * (mass1[c] * kept - mass0[c] * r))
             for i in range(M):
@@ -44,29 +44,18 @@ def drag_in_transport(cells, step, masses, entries, given, q, u, known, load, by
 
 
 @by_dimension
-def fade_with_drag(cells, step, masses, given, q, u, new, known, kept, sums):
-    """What cells keep after transport, the gain that goes with the ``new`` nodal velocity, and nodal sums: of mass, of the
-    momentum that faded by convection, and of the force that transport was given."""
-    dofs, dt, mass0, mass1, split, part = cells.dofs, step.dt, masses.before, masses.after, given.split, given.part
-    gain, nodal_gain, theta, lag = known.gain, known.nodal_gain, known.theta, known.lag
-    mass, defect, force = sums.mass, sums.defect, sums.force
+def gain_with_nodes(cells, mass1, part, new, gain, force):
+    """The gain that goes with the ``new`` nodal velocity, and in ``force`` nodal sums of it: what transport was given."""
+    dofs = cells.dofs
     n = len(dofs)
     share = 1.0 / M
     for c in range(n):
-        for i in range(M):
-            mass[dofs[c, i]] += share * mass1[c]
         for k in range(D):
-            mean, rise, now = 0.0, 0.0, 0.0
+            now = 0.0
             for i in range(M):
-                mean += u[dofs[c, i], k]
-                rise += nodal_gain[dofs[c, i], k]
                 now += new[dofs[c, i], k]
-            r = q[c, k] - share * mean
             gain[c, k] -= part[c] * share * now
-            kept[c, k] = theta[c] * r + (dt - lag[c]) * (gain[c, k] - share * rise)
-            lost = share * (1.0 - split[c]) * (mass1[c] * kept[c, k] - mass0[c] * r)
             for i in range(M):
-                defect[dofs[c, i], k] += lost
                 force[dofs[c, i], k] += share * mass1[c] * gain[c, k]
 
 

@@ -36,7 +36,7 @@ class Memory(NamedTuple):
     gain: np.ndarray  #: (n, d) acceleration of the cells by drag and pressure [m/s^2]
     nodal_gain: np.ndarray  #: (m, d) the nodes' part [m/s^2]
     fades: np.ndarray  #: (n, d) what faded per time [m/s^2]
-    theta: np.ndarray  #: (n,) part that is left after the step
+    left: np.ndarray  #: (n,) part that is left after the step
     lag: np.ndarray  #: (n,) time of the step in which the gain does not fade, as it acts at the end [s]
 
 
@@ -52,11 +52,10 @@ class Drag(NamedTuple):
 
 
 class Faded(NamedTuple):
-    """Nodal sums of transport with drag."""
+    """Nodal sums of fading."""
 
     mass: np.ndarray  #: (m,) at the end of the step [kg]
-    defect: np.ndarray  #: (m, d) momentum that faded by convection [kg m/s]
-    force: np.ndarray  #: (m, d) that transport was given [N]
+    defect: np.ndarray  #: (m, d) momentum that faded, but for what the nodes have had in their transport [kg m/s]
 
 
 class Exchange(NamedTuple):

@@ -8,9 +8,11 @@ from dolfinx import fem
 from numpy.typing import ArrayLike
 
 from fe_el.checks import number_or_function, numbers, of_kind, positive_number
-from fe_el.fluid import cell_kernels, kernels, node_kernels
+from fe_el.fluid import cell_kernels, node_kernels
 from fe_el.fluid.cells_and_nodes import CellsAndNodes
+from fe_el.fluid.continuity import mass_balance
 from fe_el.fluid.records import Held, Load, NodalSystem, Step, Void
+from fe_el.fluid.transport import transport_matrix
 from fe_el.nodes.linear_solver import LinearSolver
 from fe_el.nodes.nodal_kernels import scatter
 from fe_el.nodes.nodal_matrix import NodalMatrix
@@ -98,7 +100,7 @@ class Scalar:
 
         The mass flux through a node is what its balance leaves, so a constant stays one to round-off.
         """
-        air, work = self.fluid, self.work
+        air, work, step = self.fluid, self.work, self.fluid.last_step
         if self._open is None or self._open[0] is not air.held:
             mark = np.zeros(air.nodes, bool)
             for facets, _ in (*air.inlets, *air.outlets):
@@ -110,18 +112,18 @@ class Scalar:
             return
         supply = work.empty("supply_of_mass", air.num_cells)
         through, scale = work.zeros("through", air.nodes), work.zeros("scale", air.nodes)
-        supply[:] = air.rate
+        supply[:] = step.rate
         if air.mass_source is not None:
             supply -= air.at_cells(air.mass_source, (air.num_cells,), air.time - 0.5 * dt)
         supply *= air.density
-        kernels.mass_balance(air.dofs, air.gradient, air.volume, self.whole, supply, air.step_flux, through, scale)
+        mass_balance(air.dofs, air.gradient, air.volume, self.whole, supply, step.flux, through, scale)
         air.complete(through)
         if self.outside is None:
             self.outside = old[:, 0].copy()
         for facets, value in self.inflow:
             self.outside[facets.nodes] = value(air.time) if callable(value) else value
         node_kernels.pass_boundaries(nodes, air.owned_nodes, places, through, old, self.outside,
-                                     0.5 if air.second_order else 1.0, self.matrix.values, rhs)
+                                     0.5 if step.second_order else 1.0, self.matrix.values, rhs)
 
     def advance(self, dt: float) -> None:
         """Advance by ``dt`` [s], the step that the fluid has just made.
@@ -130,20 +132,21 @@ class Scalar:
             SolverDiverged: if the solver fails.
         """
         dt, tick = positive_number("time step", dt), time.perf_counter()
-        if self.fluid.step_flux is None:
+        step = self.fluid.last_step
+        if step is None:
             raise ValueError("The scalar's fluid has not made a step yet; call fluid.advance(dt) first, then this with the "
                              "same step.")
         air, work = self.fluid, self.work
         self.matrix.values.fill(0.0)
         old, rhs = work.empty("old", air.nodes, 1), work.zeros("rhs", air.nodes, 1)
         old[:, 0] = self.value.x.array
-        phi0, phi1 = air.void_fractions
-        middle = air.time - 0.5 * dt if air.second_order else air.time
+        middle = air.time - 0.5 * dt if step.second_order else air.time
         share, stress = work.empty("share", air.num_cells), work.empty("stress", air.num_cells)
-        cell_kernels.stress_of(phi0, phi1, air.second_order, air.density * self.diffusivity, False, share, stress)
-        kernels.transport_matrix(air.cells, Step(dt, air.density, self.diffusivity, air.upwind), self.matrix.entries,
-                                 Void(phi1, air.rate), stress, air.step_flux, work.zeros("none", air.nodes),
-                                 air.theta_of(self.diffusivity, dt), old, rhs)
+        cell_kernels.stress_of(step.before, step.after, step.second_order, air.density * self.diffusivity, False, share,
+                               stress)
+        transport_matrix(air.cells, Step(dt, air.density, self.diffusivity, air.upwind), self.matrix.entries,
+                         Void(step.after, step.rate), stress, step.flux, work.zeros("none", air.nodes),
+                         air.theta_of(self.diffusivity, dt, step.second_order), old, rhs)
         if self.source is not None:
             supply = np.multiply(air.at_cells(self.source, (air.num_cells,), middle), air.volume,
                                  out=work.empty("supply", air.num_cells))
@@ -154,7 +157,7 @@ class Scalar:
         self.seconds[self.name] += time.perf_counter() - tick
 
     def _solve(self, dt, rhs, old):
-        air, own, work = self.fluid, self.fluid.owned_nodes, self.work
+        air, own, work, step = self.fluid, self.fluid.owned_nodes, self.work, self.fluid.last_step
         if self._held is None:
             mark = np.zeros(air.nodes, bool)
             for facets, _ in self.fixed:
@@ -169,7 +172,7 @@ class Scalar:
         self.matrix.release()
         self.solver.new_values()
         load, system, guess = work.empty("load", air.nodes, 1), work.empty("system", 1, own), work.empty("guess", 1, own)
-        node_kernels.transport_load(air.mass0, old, self._unmoved, Load(self._unmoved, rhs, lift), dt,
+        node_kernels.transport_load(step.nodal_mass_before, old, self._unmoved, Load(self._unmoved, rhs, lift), dt,
                                     Held(self._held, boundary), self.matrix.diagonal(), NodalSystem(load, system, guess))
         new = work.empty("new", air.nodes, 1)
         new[:own, 0] = self.solver.solve(system[0], guess[0])
@@ -177,7 +180,7 @@ class Scalar:
         balance = work.zeros("balance", air.nodes, 1)
         self.matrix.subtract_product(new, balance)
         air.complete(balance)
-        node_kernels.close_transport(air.mass, load, balance, self._unmoved, dt, self._held, new,
+        node_kernels.close_transport(step.nodal_mass, load, balance, self._unmoved, dt, self._held, new,
                                      work.empty("no_correction", air.nodes, 1))
         self.value.x.array[:] = new[:, 0]
 
@@ -185,7 +188,7 @@ class Scalar:
         """Integral of rho phi c over the domain."""
         air = self.fluid
         means = self.value.x.array[air.dofs].mean(1)
-        phi = air.void_fractions[1]
+        phi = 1.0 if air.void_fraction is None else air.void_fraction
         return air.comm.allreduce(float((air.density * phi * air.volume) @ means))
 
     def saved(self) -> dict[str, tuple]:

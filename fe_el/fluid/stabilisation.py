@@ -7,7 +7,7 @@ import numpy as np
 from fe_el.checks import positive_number
 from fe_el.compiled.cache import njit
 from fe_el.compiled.for_each_dimension import D, M, by_dimension
-from fe_el.fluid.kernels import fading_rate
+from fe_el.fluid.relaxation import fading_rate
 
 if TYPE_CHECKING:
     from fe_el.fluid.volume_averaged_navier_stokes import VolumeAveragedNavierStokes

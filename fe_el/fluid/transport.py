@@ -1,28 +1,101 @@
-"""The first two stages of the cell-node scheme: nodes follow their cells, and carry the velocity."""
+"""Stage 2 of the fluid's step: nodes carry the velocity."""
 import numpy as np
 
-from fe_el.fluid import cell_kernels, kernels, node_kernels
-from fe_el.fluid.cell_node_fluid import CellNodeFluid
+from fe_el.compiled.cache import njit
+from fe_el.compiled.for_each_dimension import FAST, D, M, by_dimension
+from fe_el.fluid import cell_kernels, node_kernels
 from fe_el.fluid.continuity import ClosedFlux
-from fe_el.fluid.records import Held, Load, Masses, Memory, NodalSystem, Step, Void
+from fe_el.fluid.records import Held, Load, NodalSystem, Void
+from fe_el.fluid.relaxation import Relaxation
+from fe_el.fluid.state import StepState
 from fe_el.parallel.messages import largest
 
 
-class Transport(CellNodeFluid):
-    """Convection and viscosity by the nodal velocity, of a fluid of cells and nodes."""
+@by_dimension
+def mass_flux(dofs, density, phi, q, part, last, now, flux):
+    """Mass flux ``now`` of velocity q, and ``flux``, carried on from the last one by a ``part`` of its change."""
+    for c in range(len(dofs)):
+        for k in range(D):
+            now[c, k] = density * phi[c] * q[c, k]
+            flux[c, k] = now[c, k]
+            if part != 0.0:
+                flux[c, k] += part * (now[c, k] - last[c, k])
 
-    def numbers_of_step(self, dt: float) -> Step:
-        """A step of ``dt`` [s], for the loops."""
-        return Step(float(dt), float(self.density), self.viscosity / self.density, self.upwind)
 
-    def memory(self) -> Memory:
-        """What the nodes do not carry, for the loops."""
-        return Memory(self.gain, self.nodal_gain, self.fades, self.theta, self.lag)
+@by_dimension
+def transport_matrix(cells, step, entries, void, stress, flux, open_node, thetas, u, rhs):
+    """Add lumped mass, skew-symmetric convection and viscosity to ``entries``; one theta step of the latter two, theta by
+    cell.
 
-    def theta_of(self, diffusivity: float | np.ndarray, dt: float) -> np.ndarray:
+    ``stress`` is the cell's share of the stress times the viscosity. The void fraction's rate enters as the divergence that
+    the flux really has (equal to it up to the solver's tolerance), so that momentum is kept to round-off; nodes of outlets,
+    where continuity is not imposed, take the rate itself. What acts on the old velocity u goes to ``rhs``. With ``upwind``,
+    what couples two nodes with the wrong sign goes to the diagonal: no node is repelled by another.
+    """
+    dofs, grad, volume, place, values = cells.dofs, cells.gradient, cells.volume, entries.place, entries.values
+    phi1, rate, density, dt, upwind = void.fraction, void.rate, step.density, step.dt, step.upwind
+    n = len(dofs)
+    share = 1.0 / M
+    parts = u.shape[1]
+    out, diagonal, old, total = np.empty(M), np.empty(M), np.empty((M, parts)), np.empty((M, parts))
+    for c in range(n):
+        vol, theta = volume[c], thetas[c]
+        inertia, change = share * vol * density * phi1[c] / dt, 0.5 * share * vol * density * rate[c]
+        for i in range(M):
+            out[i], diagonal[i] = 0.0, inertia
+            for k in range(D):
+                out[i] += grad[c, i, k] * flux[c, k]
+            out[i] *= 0.5 * share * vol
+            side = change if open_node[dofs[c, i]] else M * out[i]
+            diagonal[i] -= theta * side
+            for k in range(parts):
+                old[i, k] = u[dofs[c, i], k]
+                total[i, k] = -(side + M * out[i]) * old[i, k]  # the sum of the row times u
+        for i in range(M):
+            for j in range(i):
+                g = 0.0
+                for k in range(D):
+                    g += grad[c, i, k] * grad[c, j, k]
+                g *= stress[c] * vol
+                skew, excess = out[j] - out[i], 0.0
+                if upwind:
+                    excess = max(theta * (abs(skew) + g), 0.0)
+                values[place[c, i, j]] += theta * (g + skew) - excess
+                values[place[c, j, i]] += theta * (g - skew) - excess
+                diagonal[i] -= theta * g - excess
+                diagonal[j] -= theta * g - excess
+                for k in range(parts):
+                    rise = old[j, k] - old[i, k]
+                    total[i, k] += (g + skew) * rise
+                    total[j, k] -= (g - skew) * rise
+        for i in range(M):
+            values[place[c, i, i]] += diagonal[i]
+            for k in range(parts):
+                rhs[dofs[c, i], k] -= (1.0 - theta) * total[i, k]
+
+
+@njit(fastmath=FAST)
+def open_boundary(place, values, cell, local, area_normal, flux):
+    """Half the outgoing mass flux on open facets, lumped; the flux that comes in brings no energy (backflow-safe)."""
+    d = flux.shape[1]
+    for f in range(len(cell)):
+        c, out = cell[f], 0.0
+        for k in range(d):
+            out += area_normal[f, k] * flux[c, k]
+        out *= 0.5
+        if out > 0:
+            for i in range(place.shape[1]):
+                if i != local[f]:
+                    values[place[c, i, i]] += out / d
+
+
+class Transport(Relaxation):
+    """Convection and viscosity by the nodal velocity: implicit, skew-symmetric, conserving momentum."""
+
+    def theta_of(self, diffusivity: float | np.ndarray, dt: float, second_order: bool) -> np.ndarray:
         """Implicit part (cells,) of transport: 1/2, and more where diffusion is so fast that half a step of it would only
         ring."""
-        if not self.second_order:
+        if not second_order:
             theta = self.work.empty("implicit", self.num_cells)
             theta.fill(1.0)
             return theta
@@ -35,138 +108,111 @@ class Transport(CellNodeFluid):
             self._thetas = {**self._thetas, key: theta} if len(self._thetas) < 8 else {key: theta}  # those of the last steps
         return self._thetas[key]
 
-    def _mass_flux(self, dt, phi0, q, moves):
+    def _mass_flux(self, step: StepState) -> None:
         """Mass flux rho phi u of the step: carried on to its middle for second order, and closed if the void fraction
         moves."""
-        last, flux = self._last_flux, self.work.empty("flux", *q.shape)
+        state, q = self.state, step.velocity
+        last, step.flux = state.last_flux, self.work.empty("flux", *q.shape)
         now = self.work.other("last_flux", last, *q.shape)
-        part = 0.5 * dt / self.dt if self.time_order == 2 and last is not None and not self.upwind else 0.0
-        kernels.mass_flux(self.dofs, self.density, phi0, q, part, now if last is None else last, now, flux)
-        self._last_flux = now
-        if largest(self.ranks, float(moves or (self.step == 0 and np.any(q)))):
-            self._to_close = 3  # steps whose flux is made of velocities that fit another rate
-        if self._to_close:
-            self._to_close -= 1
+        part = 0.5 * step.dt / state.dt if self.time_order == 2 and last is not None and not self.upwind else 0.0
+        mass_flux(self.dofs, self.density, step.before, q, part, now if last is None else last, now, step.flux)
+        state.last_flux = now
+        if largest(self.ranks, float(step.moves or (self.step == 0 and np.any(q)))):
+            state.to_close = 3  # steps whose flux is made of velocities that fit another rate
+        if state.to_close:
+            state.to_close -= 1
             self._closed_flux = self._closed_flux or ClosedFlux(self)
-            self._closed_flux(flux, self.time + 0.5 * dt)
-        return flux
+            self._closed_flux(step, self.time + 0.5 * step.dt)
 
-    def _relax(self, dt, q):
-        """Stage 1: u <- u + a P(q - mean u) moves the nodes towards the least-squares fit of the cells.
-
-        a is nearly 1 - exp(-dt k) with a rate k of convection, and of viscosity but little: a rate, not a part per step, so
-        that the scheme converges with the step. With upwinding it is the plain mean of the cells, which stays in their
-        range.
-        """
-        d, work = self.dimension, self.work
-        start = work.zeros("start", self.nodes, d) if self.nodal_velocity is None else self.nodal_velocity
-        sums, u = work.zeros("sums", self.nodes, 2 + 2 * d), work.empty("relaxed", self.nodes, d)
-        self.mass0 = work.empty("mass0", self.nodes)
-        kernels.mass_and_misfit(self.cells, self.numbers_of_step(dt), self.cell_mass0, self.damping, q, start,
-                                self.memory(), self.at_wall, sums)
-        self.complete(sums)
-        node_kernels.relaxed(start, sums, self.upwind, self.nodal_velocity is None, self.mass0, u)
-        self.impose(u)
-        return u
-
-    def _fade(self, dt, q, u):
-        """What the nodes cannot represent fades at the rate of convection and viscosity; nodal sums of the momentum it
-        lost."""
-        kept, defect = self.work.empty("kept", *q.shape), self.work.zeros("defect", self.nodes, self.dimension)
-        self.mass = self.work.zeros("mass", self.nodes)
-        masses = Masses(self.cell_mass0, self.cell_mass)
-        kernels.fade(self.cells, self.numbers_of_step(dt), masses, q, u, self.memory(), kept, self.mass, defect)
-        self.complete(self.mass)
-        return kept, defect
-
-    def _stress(self, phi0, phi, u):
-        """The cells' share of the stress, and that times the viscosity (cells,) [Pa s]."""
-        share, stress = self.work.empty("share", self.num_cells), self.work.empty("stress", self.num_cells)
-        cell_kernels.stress_of(phi0, phi, self.second_order, self.viscosity, self.stress_of_mixture, share, stress)
+    def _stress(self, step: StepState) -> np.ndarray:
+        """The cells' share of the stress (cells,); that times the viscosity goes to the step."""
+        share, step.stress = self.work.empty("share", self.num_cells), self.work.empty("stress", self.num_cells)
+        cell_kernels.stress_of(step.before, step.after, step.second_order, self.viscosity, self.stress_of_mixture, share,
+                               step.stress)
         if self.turbulence is not None:
-            self.eddy_viscosity = self.turbulence(self, u)
-            stress += self.density * share * self.eddy_viscosity
-        return share, stress
+            self.eddy_viscosity = self.turbulence(self, step.nodal_velocity)
+            step.stress += self.density * share * self.eddy_viscosity
+        return share
 
-    def _transport_step(self, dt, phi0, phi, flux, q, u):
-        """Stage 2: convection and viscosity of the nodal velocity, implicit, skew-symmetric, conserving momentum.
-
-        Returns:
-            transported nodal velocity, and what cells keep beside it.
-        """
-        d, work, own = self.dimension, self.work, self.owned_nodes
-        share, stress = self._stress(phi0, phi, u)
-        self._stress_now = stress
-        explicit, lift = work.zeros("explicit", self.nodes, d), work.zeros("lift", self.nodes, d)
-        self.transport_matrix.values.fill(0.0)
-        kernels.transport_matrix(self.cells, self.numbers_of_step(dt), self.transport_matrix.entries, Void(phi, self.rate),
-                                 stress, flux, self.fixed_pressure, self.theta_of(self.viscosity / self.density, dt), u,
-                                 explicit)
-        if self.drag_inside.active:
-            self.drag_inside.add(dt, q, u, explicit)
-        if self.stabilisation is not None and not self.upwind:
-            self.stabilisation(self, share, flux, u, self.transport_matrix, explicit)
-        if self.wall_friction is not None:
-            self.wall_friction.add(dt, stress, u, self.transport_matrix, explicit)
-        for facets, _ in self.outlets:
-            kernels.open_boundary(*self.transport_matrix.entries, facets.cell, facets.local, facets.area_normal, flux)
-        self.transport_matrix.fix(self.fixed, lift, self.boundary_velocity)
-        self.complete(explicit, lift)
-        explicit += self.slip_force  # of the last step: transport does not know what keeps the flow along slip walls
-        self.transport_matrix.assemble()
-        self.transport_matrix.release()
-        self.transport_solver.new_values()
-        rhs, system, guess = work.empty("rhs", self.nodes, d), work.empty("system", d, own), work.empty("guess", d, own)
-        given = work.zeros("no_force", self.nodes, d) if self.drag_inside.active else self.force
-        node_kernels.transport_load(self.mass0, u, self.last_change, Load(given, explicit, lift), dt,
+    def _transport(self, step: StepState) -> None:
+        """Stages 2 and 3: one matrix for all components, solved; then the balance at the solution, and fading."""
+        d, work, state, u = self.dimension, self.work, self.state, step.nodal_velocity
+        explicit, lift = self._assemble(step)
+        rhs, own = work.empty("rhs", self.nodes, d), self.owned_nodes
+        system, guess = work.empty("system", d, own), work.empty("guess", d, own)
+        given = work.zeros("no_force", self.nodes, d) if step.drag_inside else state.force
+        node_kernels.transport_load(step.nodal_mass_before, u, state.last_change, Load(given, explicit, lift), step.dt,
                                     Held(self.held, self.boundary_velocity), self.transport_matrix.diagonal(),
                                     NodalSystem(rhs, system, guess))
         new = work.empty("transported", self.nodes, d)
         for k in range(d):
             new[:own, k] = self.transport_solver.solve(system[k], guess[k])
         self.node_halo.forward(new)
-        np.subtract(new, u, out=self.last_change)
-        kept, defect = self.drag_inside.close(dt, q, u, new) if self.drag_inside.active else self._fade(dt, q, u)
+        np.subtract(new, u, out=state.last_change)
+        defect = self.drag_in_transport.close(step, new) if step.drag_inside else self._fade(step)
         if self.wall_friction is not None:
             self.wall_friction.close(new)
-        return self._balance(dt, new, rhs, defect), kept
+        self._balance(step, new, rhs, defect)
 
-    def _balance(self, dt, new, rhs, defect):
+    def _assemble(self, step: StepState) -> tuple[np.ndarray, np.ndarray]:
+        """The matrix of transport, and forces on the nodes (nodes, d): by the velocity before, and by held nodes [N]."""
+        d, work, matrix, u = self.dimension, self.work, self.transport_matrix, step.nodal_velocity
+        share = self._stress(step)
+        explicit, lift = work.zeros("explicit", self.nodes, d), work.zeros("lift", self.nodes, d)
+        matrix.values.fill(0.0)
+        thetas = self.theta_of(self.viscosity / self.density, step.dt, step.second_order)
+        transport_matrix(self.cells, step.numbers, matrix.entries, Void(step.after, step.rate), step.stress, step.flux,
+                         self.fixed_pressure, thetas, u, explicit)
+        if step.drag_inside:
+            self.drag_in_transport.add(step, explicit)
+        if self.stabilisation is not None and not self.upwind:
+            self.stabilisation(self, share, step.flux, u, matrix, explicit)
+        if self.wall_friction is not None:
+            self.wall_friction.add(step, thetas, matrix, explicit)
+        for facets, _ in self.outlets:
+            open_boundary(*matrix.entries, facets.cell, facets.local, facets.area_normal, step.flux)
+        matrix.fix(self.fixed, lift, self.boundary_velocity)
+        self.complete(explicit, lift)
+        explicit += self.state.slip_force  # of the last step: transport does not know what keeps the flow along slip walls
+        matrix.assemble()
+        matrix.release()
+        self.transport_solver.new_values()
+        return explicit, lift
+
+    def _balance(self, step: StepState, new: np.ndarray, rhs: np.ndarray, defect: np.ndarray) -> None:
         """The transported nodal velocity, less the force that it was given beforehand; in ``rhs``.
 
         One evaluation of the fluxes at the solution makes the balance exact whatever the solver's tolerance.
         """
-        d, work = self.dimension, self.work
-        balance = work.zeros("balance", self.nodes, d)
-        self.transport_matrix.subtract_product(new, balance)
-        self.complete(balance, defect)
-        self._correction = work.empty("correction", self.nodes, d)
-        node_kernels.close_transport(self.mass, rhs, balance, defect, dt, self.held, new, self._correction)
-        self.reaction = balance  # at fixed nodes: what the wall adds per time to hold the velocity
+        d, work, dt = self.dimension, self.work, step.dt
+        step.reaction, step.correction = work.zeros("balance", self.nodes, d), work.empty("correction", self.nodes, d)
+        self.transport_matrix.subtract_product(new, step.reaction)
+        self.complete(step.reaction, defect)
+        node_kernels.close_transport(step.nodal_mass, rhs, step.reaction, defect, dt, self.held, new, step.correction)
         if not self.upwind:
-            node_kernels.slip(new, self.slip_nodes, self.slip_normals, self.fixed, self.mass, 1 / dt, self.slip_force)
+            node_kernels.slip(new, self.slip_nodes, self.slip_normals, self.fixed, step.nodal_mass, 1 / dt,
+                              self.state.slip_force)
         self.impose(new)
-        self._taken = self._force_ahead(dt)
-        node_kernels.take_force(new, self._taken, self.mass, dt, rhs)
-        return rhs
+        self._force_ahead(step)
+        node_kernels.take_force(new, step.taken, step.nodal_mass, dt, rhs)
+        step.transported = rhs
 
-    def _force_ahead(self, dt):
-        """The last step's nodal force of drag and pressure; where walls hold the nodes, carried on to this step.
+    def _force_ahead(self, step: StepState) -> None:
+        """The force of drag and pressure that transport was given; where walls hold the nodes, that of the last step carried
+        on to this one.
 
         A wall takes its share of the force on a cell. With the last step's share that would be an error of first order in
-        time.
-        What is added is at most the force itself: no noise grows by it.
+        time. What is added is at most the force itself: no noise grows by it.
         """
-        inside = self.drag_inside.active
-        self._given = self.drag_inside.given if inside else self.force
-        force, last = self.drag_inside.by_pressure if inside else self.force, self.last_force
-        self.last_force = force
-        if last is None or not self.second_order:
-            return self._given
-        ratio = min((dt + self.dt) / (2 * self.dt), 1.5)
-        out = self.work.empty("force_ahead", *force.shape)
-        node_kernels.carry_on(force, last, ratio, self.held, self.slip_nodes, self.slip_normals, out)
-        if inside:  # of drag this step's is known
-            out += self._given
-            out -= force
-        return out
+        state, last = self.state, self.state.last_force
+        if not step.drag_inside:
+            step.given = step.by_pressure = state.force
+        state.last_force, step.taken = step.by_pressure, step.given
+        if last is None or not step.second_order:
+            return
+        ratio = min((step.dt + state.dt) / (2 * state.dt), 1.5)
+        step.taken = self.work.empty("force_ahead", *step.given.shape)
+        node_kernels.carry_on(step.by_pressure, last, ratio, self.held, self.slip_nodes, self.slip_normals, step.taken)
+        if step.drag_inside:  # of drag this step's is known
+            step.taken += step.given
+            step.taken -= step.by_pressure

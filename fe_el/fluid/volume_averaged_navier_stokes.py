@@ -9,14 +9,15 @@ from numpy.typing import ArrayLike
 
 from fe_el.checks import components, function_or_class_of, not_negative_number, positive_number, require_mesh, require_tags
 from fe_el.dolfinx_api import vector_space
-from fe_el.fluid import cell_kernels, kernels, node_kernels
-from fe_el.fluid.boundary_conditions import Boundaries
+from fe_el.fluid import cell_kernels
 from fe_el.fluid.boundary_values import check_fields, velocity_at
 from fe_el.fluid.continuity import Ledger
 from fe_el.fluid.drag_in_transport import DragInTransport
 from fe_el.fluid.pressure_equation import PressureEquation
-from fe_el.fluid.records import Exchange, PressureSystem
+from fe_el.fluid.projection import Projection
+from fe_el.fluid.records import Masses, Memory, Step
 from fe_el.fluid.saved_fluid import SavedFluid
+from fe_el.fluid.state import FluidState, StepState
 from fe_el.fluid.transport import Transport
 from fe_el.nodes.linear_solver import LinearSolver
 from fe_el.nodes.nodal_matrix import NodalMatrix
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 START_STEPS = 2  # implicit Euler steps that damp a start which does not fit its boundary conditions
 
 
-class VolumeAveragedNavierStokes(Boundaries, Ledger, Transport, SavedFluid):
+class VolumeAveragedNavierStokes(Transport, Projection, Ledger, SavedFluid):
     """Flow of a fluid through the void fraction phi left by particles (model A).
 
         d(rho phi)/dt + div(rho phi u) = 0
@@ -69,10 +70,6 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger, Transport, SavedFluid):
         Collective.
     """
 
-    body_force: ArrayLike | Callable[[float, np.ndarray], ArrayLike] | None
-    mass_source: ArrayLike | Callable[[float, np.ndarray], ArrayLike] | None
-    eddy_viscosity: np.ndarray | None
-
     def __init__(self, mesh: "Mesh", facet_tags: Any = None, density: float = 1.2, viscosity: float = 1.8e-5,
                  gravity: ArrayLike | None = None, tolerance: float = 1e-8, mean_pressure_gradient: ArrayLike | None = None,
                  stress_of_mixture: bool = False, turbulence: Callable[[Any, np.ndarray], np.ndarray] | None = None,
@@ -89,9 +86,7 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger, Transport, SavedFluid):
         self.velocity = fem.Function(vector_space(mesh, "DG", 0), name="velocity")
         self.pressure = fem.Function(self.space, name="pressure")
         self.cell_halo = Halo.of_index_map(mesh.comm, self.velocity.function_space.dofmap.index_map)
-        self.theta, self.lag = np.empty(n), np.empty(n)
-        for name, value in self.memory_at_rest().items():
-            setattr(self, name, value)
+        self.state, self.last_step, self.no_share = FluidState(n, self.nodes, d), None, np.zeros(n)
         self.time, self.step, self.seconds = 0.0, 0, {"fluid": 0.0}
         self.inlets, self.outlets, self.no_slip, self.slip, self._facets, self._conditions = [], [], [], [], {}, {}
         mean = np.zeros(d)
@@ -106,27 +101,16 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger, Transport, SavedFluid):
         self.turbulence, self.time_order, self.stabilisation = turbulence, time_order, stabilisation
         self.upwind = stabilisation is not None and stabilisation.upwind
         self.mean_pressure_gradient, self.stress_of_mixture = mean.copy(), bool(stress_of_mixture)
-        self.guess_order = 0  # of the extrapolation that pressure solves start from
-        self.as_new = False  # whether the next step makes its matrices and solvers anew
-        self._solvers, self._closed_flux = (), None
-        self.ready, self.step_flux, self._to_close, self._single_phase = False, None, 0, None
+        self._solvers, self._closed_flux, self.ready, self.as_new = (), None, False, False
+        self._single_phase: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
         self.body_force = self.mass_source = self.eddy_viscosity = None
-        self.drag_known = False  # whether drag_gain holds what drag gave in the last step
-
-    def memory_at_rest(self) -> dict[str, np.ndarray | None]:
-        """What a step takes over from the last beside velocity and pressure, by name, before the first step."""
-        n, d, nodes = self.num_cells, self.dimension, self.nodes
-        none = dict.fromkeys(("void_fraction", "_last_flux", "nodal_velocity", "last_force"))
-        return {**none, "rate": np.zeros(n), "last_drag": np.zeros(n), "past_pressures": np.zeros((nodes, 3)),
-                **{name: np.zeros((n, d)) for name in ("gain", "fades", "drag_gain")},
-                **{name: np.zeros((nodes, d)) for name in ("force", "nodal_gain", "slip_force", "last_change")}}
 
     def set_initial_velocity(self, value: ArrayLike | Callable[[float, np.ndarray], ArrayLike]) -> None:
         """Interstitial velocity at the start: d numbers, or a function (time, position) as for inlets."""
         v = velocity_at(value, self.time, self.corner.mean(1), self.dimension)
         self.velocity.x.array.reshape(-1, self.dimension)[:self.num_cells] = v
         self.velocity.x.scatter_forward()
-        self.nodal_velocity = None
+        self.state.nodal_velocity = None
 
     def _setup(self):
         """Matrices, solvers and fixed nodes, once the boundary conditions are known."""
@@ -138,7 +122,7 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger, Transport, SavedFluid):
         self.transport_solver = LinearSolver(self.transport_matrix.matrix, "transport", "bcgs", "jacobi", self.tolerance)
         self._hold_nodes()
         self._thetas, self._steady_inflow, self._closed_flux = {}, None, None
-        self.pressure_equation, self.drag_inside = PressureEquation(self), DragInTransport(self)
+        self.pressure_equation, self.drag_in_transport = PressureEquation(self), DragInTransport(self)
         self._solvers = self.transport_solver, self.pressure_equation.solver
         self.boundary_velocity, self._values_set = np.zeros((self.nodes, self.dimension)), False
 
@@ -163,86 +147,52 @@ class VolumeAveragedNavierStokes(Boundaries, Ledger, Transport, SavedFluid):
             Collective.
         """
         dt, tick = positive_number("time step", dt), time.perf_counter()
-        n, d = self.num_cells, self.dimension
-        if fields is None:
-            phi, drag, source = self._single_phase = self._single_phase or (np.ones(n), np.zeros(n), np.zeros((n, d)))
-        else:
-            check_fields(fields, n, d)
-            phi, drag = self.work.other("void_fraction", self.void_fraction, n), fields[1].x.array[:n]
-            phi[:], source = fields[0].x.array[:n], fields[2].x.array.reshape(-1, d)[:n]
-            if n and not phi.min() > 0:
-                raise ValueError(f"The void fraction of cell {int(np.argmin(phi))} on rank {self.comm.rank} is "
-                                 f"{phi.min():g}; it must be positive. Use larger cells or smoothing.")
-        phi0 = phi if self.void_fraction is None else self.void_fraction
+        step = self._begin(dt, fields, pressure_share)
+        self._mass_flux(step)
+        self.time, self.step = self.time + dt, self.step + 1
+        step.second_order = self.time_order == 2 and self.step > START_STEPS and not self.upwind
+        self.drag_in_transport.start(step)
+        self._relax(step)
+        self.set_boundary_values(None if step.single_phase else step.after)
+        self._transport(step)
+        self._supply(step)
+        drag, source = (step.drag, step.source) if self.wall_friction is None else self.wall_friction.in_cells(step)
+        self._exchange(step, drag, source)
+        self.drag_in_transport.keep(step, self.velocity.x.array.reshape(-1, self.dimension)[:self.num_cells])
+        self.state.void_fraction, self.state.rate, self.state.dt, self.last_step = step.after, step.rate, dt, step
+        self.seconds["fluid"] += time.perf_counter() - tick
+
+    def _begin(self, dt: float, fields: Sequence[fem.Function] | None, pressure_share: np.ndarray | None) -> StepState:
+        """The step with what it is given, and with what follows from the void fraction."""
+        n, d, work, state = self.num_cells, self.dimension, self.work, self.state
+        phi, drag, source = self._given(fields)
+        phi0 = phi if state.void_fraction is None else state.void_fraction
         if not self.ready or self.as_new:
             self._setup()
             self.set_boundary_values(phi0 if phi0 is not phi or fields is not None else None)
-        q = self.work.empty("start_of_cells", n, d)
+        q = work.empty("start_of_cells", n, d)
         q[:] = self.velocity.x.array.reshape(-1, d)[:n]
-        rate0, self.rate = self.rate, self.work.other("rate", self.rate, n)
-        self.cell_mass0, self.cell_mass, self.damping = (self.work.empty(k, n)
-                                                         for k in ("cell_mass0", "cell_mass", "damping"))
-        moves = cell_kernels.begin(self.density, dt, phi0, phi, drag, self.volume, self.rate, self.cell_mass0,
-                                   self.cell_mass,
-                                   self.damping)
-        flux = self.step_flux = self._mass_flux(dt, phi0, q, moves)
-        self.time, self.step = self.time + dt, self.step + 1
-        self.second_order = self.time_order == 2 and self.step > START_STEPS and not self.upwind
-        self.drag_inside.start(dt, drag, source)
-        u = self._relax(dt, q)
-        self.set_boundary_values(None if fields is None else phi)
-        nodal, transported = self._transport_step(dt, phi0, phi, flux, q, u)
-        self._supply(dt, rate0)
-        share = phi if pressure_share is None else pressure_share
-        if self.wall_friction is not None:
-            drag, source = self.wall_friction.in_cells(self._stress_now, drag, source, q)
-        handed = fields[3].x.array[:n] if fields is not None and len(fields) > 3 else None
-        self._exchange(dt, phi, share, drag, source, nodal, transported, handed)
-        self.drag_inside.keep(dt, phi, self.velocity.x.array.reshape(-1, d)[:n])
-        self.void_fraction, self.void_fractions, self.dt = phi, (phi0, phi), dt
-        self.seconds["fluid"] += time.perf_counter() - tick
+        rate, damping = work.other("rate", state.rate, n), work.empty("damping", n)
+        masses = Masses(work.empty("mass_before", n), work.empty("mass_after", n))
+        moves = cell_kernels.begin(self.density, dt, phi0, phi, drag, self.volume, rate, *masses, damping)
+        return StepState(
+            numbers=Step(dt, float(self.density), self.viscosity / self.density, self.upwind), single_phase=fields is None,
+            before=phi0, after=phi, rate=rate, last_rate=state.rate, drag=drag, source=source,
+            share=phi if pressure_share is None else pressure_share,
+            handed=fields[3].x.array[:n] if fields is not None and len(fields) > 3 else None,
+            velocity=q, masses=masses, damping=damping, moves=moves,
+            memory=Memory(state.gain, state.nodal_gain, state.fades, work.empty("left", n), work.empty("lag", n)))
 
-    def _supply(self, dt, rate0):
-        """Fluid volume that each cell gives off per volume and time, at the end of the step, where continuity is imposed.
-
-        The rate of the void fraction there is that of the parabola through three void fractions.
-        """
-        self.supply = self.work.empty("supply", self.num_cells)
-        cell_kernels.supply_of(self.rate, rate0, dt / (dt + self.dt) if self.second_order else 0.0, self.supply)
-        if self.mass_source is not None:
-            self.supply -= self.at_cells(self.mass_source, (self.num_cells,))
-
-    def _exchange(self, dt, phi, share, drag, source, nodal, transported, handed=None):
-        """Stage 3: drag and pressure together; an exact projection with the drag on the diagonal."""
-        n, d, work = self.num_cells, self.dimension, self.work
-        q, rhs = work.empty("exchanged", n, d), work.zeros("pressure_load", self.nodes)
-        diagonal, weight = work.empty("diagonal", n), work.empty("weight", n)
-        body = work.empty("constant_body", 1, d) if self.body_force is None else work.empty("body", n, d)
-        body[:] = self.density * self.gravity + self.mean_pressure_gradient
-        if self.body_force is not None:
-            body += self.at_cells(self.body_force, (n, d), self.time - (0.5 * dt if self.second_order else 0.0))
-        if handed is not None:  # of the solved pressure alone
-            body, share = (share / (share + handed))[:, None] * body, share + handed
-        step = self.numbers_of_step(dt)
-        kernels.exchange_system(self.cells, step, phi, Exchange(share, self.supply, drag, source, body), nodal,
-                                self._correction, transported, q, PressureSystem(diagonal, weight, rhs))
-        self.inflow = self.inflow_at(self.time)
-        rhs += self.inflow
-        if not self.outlets:
-            self.check_closed(dt)
-        self.pressure_equation.solve(weight, rhs)
-        change = work.other("force", self.force, self.nodes, d)
-        change.fill(0.0)
-        kernels.pressure_step(self.cells, step, phi, share, diagonal, self.pressure.x.array, transported, q, self.gain,
-                              change)
-        self.complete(change)
-        self.velocity.x.array.reshape(-1, d)[:n] = q
-        self.cell_halo.forward(self.velocity.x.array.reshape(-1, d))
-        self.nodal_velocity = work.empty("nodal_velocity", self.nodes, d)
-        node_kernels.after_exchange(nodal, change, self._correction, self.mass, dt, self.nodal_velocity, self.nodal_gain)
-        self.impose(self.nodal_velocity)
-        self.node_halo.forward(self.nodal_velocity)
-        self.force = change
-        if self.upwind:  # which takes nothing beforehand
-            self.gain.fill(0.0)
-            self.nodal_gain.fill(0.0)
+    def _given(self, fields):
+        """Void fraction, drag and source of this rank's cells."""
+        n, d = self.num_cells, self.dimension
+        if fields is None:
+            self._single_phase = self._single_phase or (np.ones(n), np.zeros(n), np.zeros((n, d)))
+            return self._single_phase
+        check_fields(fields, n, d)
+        phi = self.work.other("void_fraction", self.state.void_fraction, n)
+        phi[:] = fields[0].x.array[:n]
+        if n and not phi.min() > 0:
+            raise ValueError(f"The void fraction of cell {int(np.argmin(phi))} on rank {self.comm.rank} is "
+                             f"{phi.min():g}; it must be positive. Use larger cells or smoothing.")
+        return phi, fields[1].x.array[:n], fields[2].x.array.reshape(-1, d)[:n]

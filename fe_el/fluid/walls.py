@@ -174,24 +174,25 @@ class WallFriction:
                 at = self.fluid.node_position[facets.facet_nodes].reshape(-1, 3)
                 self.velocity[rows] = velocity_at(value, time, at, d).reshape(-1, d, d)
 
-    def add(self, dt, stress, u, matrix, rhs):
-        """Add the terms of the step that ends now to a NodalMatrix and to the nodal right-hand side (nodes, d)."""
+    def add(self, step, thetas, matrix, rhs):
+        """Add the terms of the step that ends now, of implicit part ``thetas`` (cells,), to a NodalMatrix and to the nodal
+        right-hand side (nodes, d)."""
         air = self.fluid
         if self.changes:
             self.past[:] = self.velocity
             self._set_velocity(air.time)
-        self._last = (self.facets, stress, 0.0 if air.upwind else 1.0, air.theta_of(air.viscosity / air.density, dt), u,
-                      self.velocity, self.past)
+        self._last = (self.facets, step.stress, 0.0 if air.upwind else 1.0, thetas, step.nodal_velocity, self.velocity,
+                      self.past)
         add_friction(self.dofs, matrix.entries, *self._last, rhs)
 
     def close(self, new):
         """Keep the forces on the facets that the solution of transport gives."""
         friction_forces(self.dofs, *self._last, new, self.force)
 
-    def in_cells(self, stress, drag, source, q):
-        """Drag coefficient and source with the friction of layers that the mesh does not resolve, for velocities ``q``
+    def in_cells(self, step):
+        """Drag coefficient and source with the friction of layers that the mesh does not resolve, for the velocities
         before."""
-        air, d = self.fluid, self.fluid.dimension
+        air, d, source, q = self.fluid, self.fluid.dimension, step.source, step.velocity
         for (wall, _, law), rows in zip(self.walls, self.rows):
             if law is None:
                 self.coefficient[rows] = 0.0
@@ -200,8 +201,8 @@ class WallFriction:
             speed = np.linalg.norm(slip - (slip * normal).sum(1)[:, None] * normal, axis=1)
             self.coefficient[rows] = law(speed, self.facets.size[rows, 2] / (d + 1), air.density, air.viscosity)
         whole = air.work.empty("drag_with_walls", air.num_cells)
-        whole[:] = drag
-        unresolved_friction(self.facets, air.volume, stress, drag, self.coefficient, whole)
+        whole[:] = step.drag
+        unresolved_friction(self.facets, air.volume, step.stress, step.drag, self.coefficient, whole)
         if self.moves:
             pull = self.coefficient[:, None] * self.velocity.mean(1) / air.volume[self.facets.cell, None]
             source = source.copy()

@@ -1,0 +1,117 @@
+"""Stage 4 of the fluid's step: drag and pressure together."""
+import numpy as np
+
+from fe_el.compiled.for_each_dimension import D, M, by_dimension
+from fe_el.fluid import cell_kernels, node_kernels
+from fe_el.fluid.boundary_conditions import Boundaries
+from fe_el.fluid.records import Exchange, PressureSystem
+from fe_el.fluid.state import StepState
+
+
+@by_dimension
+def exchange_system(cells, step, phi, given, u, correction, kept, q, equation):
+    """Cell velocities before the pressure, and the right-hand side of the Poisson equation that follows from eliminating
+    them.
+
+    Sets kept to the transported velocity and q to (rho phi/dt u_T + B + part f) / (rho phi/dt + A); ``part`` is the share of
+    pressure gradient and body force f that the fluid takes, phi unless the step is one of several; ``weight`` is that of the
+    equation. f is ``body``, of each cell or of all.
+    """
+    dofs, grad, volume, density, dt = cells.dofs, cells.gradient, cells.volume, step.density, step.dt
+    part, supply, drag, source, body = given.part, given.supply, given.drag, given.source, given.body
+    diagonal, weight, rhs = equation.diagonal, equation.weight, equation.rhs
+    n, varies = len(dofs), len(body) > 1
+    share = 1.0 / M
+    for c in range(n):
+        inertia = density * phi[c] / dt
+        diagonal[c] = inertia + drag[c]
+        weight[c] = phi[c] * part[c] / diagonal[c] * volume[c]
+        for k in range(D):
+            mean = 0.0
+            for i in range(M):
+                mean += u[dofs[c, i], k] - correction[dofs[c, i], k]
+            kept[c, k] += share * mean
+            q[c, k] = (inertia * kept[c, k] + source[c, k] + part[c] * body[c if varies else 0, k]) / diagonal[c]
+        for i in range(M):
+            flux = 0.0
+            for k in range(D):
+                flux += grad[c, i, k] * q[c, k]
+            rhs[dofs[c, i]] += volume[c] * (phi[c] * flux - share * supply[c])
+
+
+@by_dimension
+def pressure_step(cells, step, phi, part, diagonal, p, transported, q, gain, change):
+    """Subtract part grad p / (rho phi/dt + A) from q; ``gain`` is the acceleration, ``change`` the momentum per time and
+    node."""
+    dofs, grad, volume, density, dt = cells.dofs, cells.gradient, cells.volume, step.density, step.dt
+    n = len(dofs)
+    share = 1.0 / M
+    for c in range(n):
+        for k in range(D):
+            slope = 0.0
+            for i in range(M):
+                slope += grad[c, i, k] * p[dofs[c, i]]
+            q[c, k] -= part[c] / diagonal[c] * slope
+            gain[c, k] = (q[c, k] - transported[c, k]) / dt
+            given = share * density * phi[c] * volume[c] * gain[c, k]
+            for i in range(M):
+                change[dofs[c, i], k] += given
+
+
+class Projection(Boundaries):
+    """(rho phi/dt + A) q = rho phi/dt q_T + B - phi grad p with (phi q, grad w) = (dphi/dt, w) for every P1 w.
+
+    Eliminating q gives one symmetric positive equation of the pressure; grad P1 lies in the space of the cells, so the
+    projection is exact, with the drag on the diagonal.
+    """
+
+    def _supply(self, step: StepState) -> None:
+        """Fluid volume that each cell gives off per volume and time, at the end of the step, where continuity is imposed.
+
+        The rate of the void fraction there is that of the parabola through three void fractions.
+        """
+        step.supply = self.work.empty("supply", self.num_cells)
+        part = step.dt / (step.dt + self.state.dt) if step.second_order else 0.0
+        cell_kernels.supply_of(step.rate, step.last_rate, part, step.supply)
+        if self.mass_source is not None:
+            step.supply -= self.at_cells(self.mass_source, (self.num_cells,))
+
+    def _body_force(self, step: StepState) -> np.ndarray:
+        """Of each cell (cells, d), or of all (1, d) [N/m^3]."""
+        n, d, work = self.num_cells, self.dimension, self.work
+        body = work.empty("constant_body", 1, d) if self.body_force is None else work.empty("body", n, d)
+        body[:] = self.density * self.gravity + self.mean_pressure_gradient
+        if self.body_force is not None:
+            body += self.at_cells(self.body_force, (n, d), self.time - (0.5 * step.dt if step.second_order else 0.0))
+        return body
+
+    def _exchange(self, step: StepState, drag: np.ndarray, source: np.ndarray) -> None:
+        """Stage 4: cells and nodes get their new velocities, with a drag and source that have those of the walls in them."""
+        n, d, work, state, dt = self.num_cells, self.dimension, self.work, self.state, step.dt
+        q, rhs = work.empty("exchanged", n, d), work.zeros("pressure_load", self.nodes)
+        diagonal, weight = work.empty("diagonal", n), work.empty("weight", n)
+        body, share = self._body_force(step), step.share
+        if step.handed is not None:  # of the solved pressure alone
+            body, share = (share / (share + step.handed))[:, None] * body, share + step.handed
+        exchange_system(self.cells, step.numbers, step.after, Exchange(share, step.supply, drag, source, body),
+                        step.transported, step.correction, step.kept, q, PressureSystem(diagonal, weight, rhs))
+        step.inflow = self.inflow_at(self.time)
+        rhs += step.inflow
+        if not self.outlets:
+            self.check_closed(step)
+        self.pressure_equation.solve(weight, rhs)
+        change = work.other("force", state.force, self.nodes, d)
+        change.fill(0.0)
+        pressure_step(self.cells, step.numbers, step.after, share, diagonal, self.pressure.x.array, step.kept, q, state.gain,
+                      change)
+        self.complete(change)
+        self.velocity.x.array.reshape(-1, d)[:n] = q
+        self.cell_halo.forward(self.velocity.x.array.reshape(-1, d))
+        state.force, state.nodal_velocity = change, work.empty("nodal_velocity", self.nodes, d)
+        node_kernels.after_exchange(step.transported, change, step.correction, step.nodal_mass, dt, state.nodal_velocity,
+                                    state.nodal_gain)
+        self.impose(state.nodal_velocity)
+        self.node_halo.forward(state.nodal_velocity)
+        if self.upwind:  # which takes nothing beforehand
+            state.gain.fill(0.0)
+            state.nodal_gain.fill(0.0)
