@@ -10,9 +10,9 @@ mesh, tags = fe_el.box((0.01, 0.01), (4, 4))
 beads = fe_el.Particles(mesh, 2500.0)
 if sys.argv[1] == "one" and mesh.comm.rank == 1:
     raise RuntimeError("only here")
+mesh.comm.barrier()
 if sys.argv[1] == "all":
     raise RuntimeError("everywhere")
-mesh.comm.barrier()
 """
 
 

@@ -9,7 +9,7 @@ MASS = RHO * np.pi / 6 * D ** 3
 
 
 def lidded(lid, positions, restitution=0.3, hold=False, gravity=(0, 0, -9.81), law=None):
-    mesh, tags = fe_el.box((0.02, 0.02, 0.02), (2, 2, 2))
+    mesh, tags = fe_el.box((0.02, 0.02, 0.02), (2, 2, 2), slices_along=0)  # two scenes are then cut alike
     p = fe_el.Particles(mesh, RHO, gravity)
     p.insert_at(positions, D)
     if hold:

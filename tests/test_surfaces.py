@@ -29,7 +29,7 @@ def stl(path, points, triangles):
 
 
 def scene(positions, walls, gravity=(0, 0, -9.81), law=LAW, **kind):
-    mesh, tags = fe_el.box((0.03, 0.03, 0.03), (3, 3, 3))
+    mesh, tags = fe_el.box((0.03, 0.03, 0.03), (3, 3, 3), slices_along=0)  # two scenes are then cut alike
     p = fe_el.Particles(mesh, RHO, gravity)
     p.insert_at(positions, D, **kind)
     walls = walls(tags) if callable(walls) else walls

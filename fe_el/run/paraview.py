@@ -181,6 +181,8 @@ class ParaViewOutput:
 
     def _piece(self, name, time, piece, patience):
         if not self.written[name]:
+            if np.isfinite(patience) and not wait_for_all(self.comm, patience):
+                raise OSError("Other ranks did not come to write")
             self.written[name] = self._frames(name, time)
         number = 1 + max((int(files[0].split("_")[-2]) for _, files in self.written[name]), default=-1)
         files = [f"{name}_{number:05d}_{r}.vtu" for r in range(self.comm.size)]
