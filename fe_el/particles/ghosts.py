@@ -87,11 +87,13 @@ class Ghosts:
         steps = [(-1, 0, 1) if period is not None and period[k] > 0 else (0,) for k in range(3)]
         offsets = [np.array(o, float) * (0 if period is None else period) for o in itertools.product(*steps)]
         low, high, _ = bounds(position)
-        box = (low - reach, high + reach)  # of no particles: from infinity to minus infinity
+        boxes = np.empty((comm.size, 2, 3))
+        comm.Allgather(np.array([low - reach, high + reach]), boxes)  # of no particles: from infinity to minus infinity
+        near = np.any([((boxes[:, 0] - o <= high) & (boxes[:, 1] - o >= low)).all(1) for o in offsets], axis=0)
         self.send, shifts = [], []
-        for rank, (lower, upper) in enumerate(comm.allgather(box)):
+        for rank, (lower, upper) in enumerate(boxes):
             rows, moved = [np.zeros(0, np.int64)], [np.zeros((0, 3))]
-            for offset in offsets:
+            for offset in offsets if near[rank] else ():
                 if rank == comm.rank and not offset.any():
                     continue
                 inside = _inside(position, lower - offset, upper - offset)

@@ -92,7 +92,7 @@ class Migration(ParticleArrays):
         where = self.search(self.position[lost])
         if self.comm.size > 1:
             everywhere = self.comm.allgather(self.position[lost])
-            found = [self.comm.allgather(self.search(x)) for x in everywhere][self.comm.rank]
+            found = self.comm.alltoall([self.search(x) for x in everywhere])
             self._claims |= {int(i): (r, f[k]) for k, i in enumerate(lost) for r, f in enumerate(found) if f[k] >= 0}
             where = np.array([0 if int(i) in self._claims else -1 for i in lost], np.int32)
         else:
