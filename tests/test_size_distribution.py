@@ -60,6 +60,23 @@ def test_parcels_have_the_distribution_of_their_particles():
     assert np.average(d, weights=1 / d ** 3) == pytest.approx(draw(sizes).mean(), rel=5e-3)
 
 
+def test_parcels_have_it_within_a_wide_class_too():
+    """One class from 1 to 4 mm, whose particles are uniform in it: parcels of equal mass have the density d^3 (mean 3.208
+    mm), those of the same number on both sides of a jump in it are uniform, and an injector draws the same."""
+    sizes, number = SIZES([1e-3], [4e-3], [1.0]), lambda d: 1e-9 / d ** 3
+    d = draw(sizes, number)
+    assert d.mean() == pytest.approx(4 / 5 * (4 ** 5 - 1) / (4 ** 4 - 1) * 1e-3, rel=2e-3)
+    assert np.histogram(d, 6, (1e-3, 4e-3), weights=number(d) / number(d).sum())[0] == pytest.approx(1 / 6, rel=0.03)
+    d = draw(sizes, lambda d: np.where(d < 2e-3, 10.0, 1.0))
+    assert (d < 2e-3).mean() == pytest.approx(1 / 21, rel=0.02)
+    mesh, _ = fe_el.box((0.1,) * 3, (2,) * 3)
+    p = fe_el.Particles(mesh, 2500.0)
+    jet = fe_el.Injector(p, fe_el.DiscSource((0, 0.05, 0.05), (1, 0, 0), 0.02), (1.0, 0, 0), sizes, mass_rate=1.0, number=number)
+    jet.advance(0.02)
+    assert p.number.sum() * 2500 * np.pi / 6 * sizes.mean_cube() == pytest.approx(p.mass.sum(), rel=0.02)
+    assert (p.number @ p.primary_diameter) / p.number.sum() == pytest.approx(2.5e-3, rel=0.02)
+
+
 @pytest.mark.parametrize("make, words", [
     (lambda: SIZES.listed([1e-3, -1e-3]), "diameter is -0.001"),
     (lambda: SIZES.listed([1e-3], [1, 2]), "shapes"),

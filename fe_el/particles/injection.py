@@ -70,6 +70,7 @@ class Injector:
         self.rate, self.by_number = given[0], number_rate is not None
         self.fluid = None if fluid is None else (positive_number("density of the fluid", fluid[0]), fluid[1])
         self._take_kind(**kind)
+        self.drawn_from = self.sizes.of_parcels(self._numbers)
         self.generators = [np.random.default_rng((seed, k)) for k in range(2)]  # of sizes, of places
         self.time, self.waiting, self.parcels, self.number, self.mass = 0.0, 0.0, 0, 0.0, 0.0
         self.ahead = np.zeros((0, 2))  # diameters and numbers drawn for the next parcels
@@ -151,7 +152,7 @@ class Injector:
         blocks, budget = [self.ahead], self.waiting + asked[-1]
         drawn = self._amounts(self.ahead).sum()
         while drawn <= budget:
-            d = self.sizes.draw(self.generators[0], BLOCK, self._numbers)
+            d = self.drawn_from.draw(self.generators[0], BLOCK)
             blocks.append(np.column_stack([d, self._numbers(d)]))
             amount = self._amounts(blocks[-1]).sum()
             drawn += amount

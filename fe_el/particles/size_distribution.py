@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from fe_el.checks import numbers, positive_number, require_not_negative, require_positive
 
 CLASSES = 1000  # of a curve
+PART = 1.01  # largest ratio of the bounds of a class in which all parcels count as holding the same number of particles
 
 
 class SizeDistribution:
@@ -105,14 +106,27 @@ class SizeDistribution:
         """Mean of the cube of the diameter by number [m^3]: times pi/6 and the density the mean mass of a particle."""
         return float(self.by_number @ ((self.lower + self.upper) * (self.lower ** 2 + self.upper ** 2) / 4))
 
+    def of_parcels(self, number: Callable[[np.ndarray], ArrayLike]) -> "SizeDistribution":
+        """The distribution, by number of parcels, of parcels that stand for ``number(diameters)`` particles each, such that
+        the particles are distributed as said: wide classes are cut to parts of one per cent of their diameters."""
+        parts = np.maximum(np.ceil(np.log(self.upper / self.lower) / np.log(PART)), 1).astype(int)
+        of = np.repeat(np.arange(len(parts)), parts)
+        part = np.arange(len(of)) - np.repeat(np.cumsum(parts) - parts, parts)
+        ratio = (self.upper / self.lower) ** (1 / parts)
+        lower = self.lower[of] * ratio[of] ** part
+        upper = np.where(part + 1 < parts[of], self.lower[of] * ratio[of] ** (part + 1), self.upper[of])
+        width = (self.upper - self.lower)[of]
+        share = np.where(width > 0, (upper - lower) / np.where(width > 0, width, 1.0), 1.0)
+        middle = 0.5 * (lower + upper)
+        return SizeDistribution(lower, upper, self.by_number[of] * share / np.broadcast_to(number(middle), middle.shape))
+
     def draw(self, generator: np.random.Generator, count: int,
              number: Callable[[np.ndarray], ArrayLike] | None = None) -> np.ndarray:
         """Diameters (count,) of parcels that stand for ``number(diameters)`` particles each, such that the particles are
-        distributed as said; absent: of single particles."""
-        weight = self.by_number
+        distributed as said (:meth:`of_parcels`); absent: of single particles."""
         if number is not None:
-            weight = weight / np.broadcast_to(number(0.5 * (self.lower + self.upper)), weight.shape)
-        below = np.cumsum(weight)
+            return self.of_parcels(number).draw(generator, count)
+        below = np.cumsum(self.by_number)
         random = generator.random((count, 2))
         k = np.minimum(np.searchsorted(below, random[:, 0] * below[-1], side="right"), len(below) - 1)
         return self.lower[k] + random[:, 1] * (self.upper[k] - self.lower[k])
