@@ -16,6 +16,17 @@ def scatter(dofs, total, out):
 
 
 @by_dimension
+def add_integrals(dofs, volume, field, out):
+    """Add the integrals of a cell field (cells, k) in equal shares to the nodes."""
+    share = 1.0 / M
+    for c in range(len(dofs)):
+        for k in range(field.shape[1]):
+            part = share * volume[c] * field[c, k]
+            for i in range(M):
+                out[dofs[c, i], k] += part
+
+
+@by_dimension
 def add_elements(dofs, place, elements, values):
     """Add element matrices to ``values``."""
     for c in range(len(dofs)):
