@@ -58,6 +58,7 @@ def arguments():
     p.add_argument("--end-time", type=float, default=0.05, help="of each run [s] (0.05)")
     p.add_argument("--average-from", type=float, default=0.02, help="start of the means [s] (0.02)")
     p.add_argument("--output", default="out/salzman_jet", help="folder for results (out/salzman_jet)")
+    p.add_argument("--report", action="store_true", help="error of the penetration against cost, over parcels, mesh, step")
     restarts.add_arguments(p)
     return p
 
@@ -128,7 +129,7 @@ class Means:
 def one_run(options, folder, progress):
     """Run one jet; returns its means, its last state and its numbers."""
     air, parcels, injector, coupling = assemble(**options)
-    dt, end, wall = options["time_step"], options["end_time"], time.perf_counter()
+    dt, end, wall, processor = options["time_step"], options["end_time"], time.perf_counter(), time.process_time()
     keep = restarts.Restarts(folder, *(options[k] for k in ("time_step", "checkpoint_every", "restart", "wall_time")))
     means, largest = Means(parcels, options["average_from"], end), restarts.Kept(imbalance=0.0, solid_fraction=0.0)
     with fe_el.ParaViewOutput(folder, parcels, [air.velocity, air.pressure, coupling.fields[0]], end / 10) as out, \
@@ -152,6 +153,7 @@ def one_run(options, folder, progress):
                "mass_error": abs(held + parcels.left_mass - injector.mass) / injector.mass,
                "flux_through_plane_over_injected": means.plane.mass_rate * end / injector.mass,
                "seconds_per_step": (time.perf_counter() - wall) * dt / end, "wall_time": time.perf_counter() - wall,
+               "processor_time": parcels.comm.allreduce(time.process_time() - processor),
                **fe_el.stage_seconds(air, coupling, out)}
     for way, height, error, ratio in zip(STATIONS, heights, errors, ratios):
         key = f"at_{1e3 * way:g}_mm"
@@ -222,8 +224,16 @@ def picture_of_fields(folder, means, air, parcels):
     plt.close(figure)
 
 
+def command(options):
+    """What the command line asks for."""
+    if not options.pop("report"):
+        return main(**options)
+    from demos import salzman_report
+    return salzman_report.main(options)
+
+
 if __name__ == "__main__":
-    summary = main(**vars(arguments().parse_args()))
+    summary = command(vars(arguments().parse_args()))
     if MPI.COMM_WORLD.rank == 0:
         for key, value in summary.items():
             print(f"{key:60s} {value}")

@@ -20,6 +20,7 @@ from demos import (
     mri_bed,
     own_weak_form,
     salzman_jet,
+    salzman_report,
     sedimenting_suspension,
     time_scales,
     turbulent_channel,
@@ -455,6 +456,18 @@ def test_salzman_jet(folder):
     assert os.path.getsize(folder + "/heights.png") > 0 and os.path.getsize(folder + "/coarse_graining_40/fields.png") > 0
     with pytest.raises(ValueError, match="--average-from"):
         salzman_jet.main(average_from=1.0, output=folder)
+
+
+def test_salzman_report(folder):
+    """Two settings: the second stands beside the first, which is the reference, with what it cost."""
+    options = {"coarse_graining": [25.0], "cells": 3.0, "time_step": 1e-4, "smoothing_length": 1.125e-3, "end_time": 0.026,
+               "average_from": 0.018, "output": folder, "progress": False}
+    summary = salzman_report.main(options, ((1.5, 40, 2e-4, True), (1.5, 40, 4e-4, False)))
+    rows = np.genfromtxt(folder + "/report.csv", delimiter=",", names=True)
+    assert summary["runs"] == 2 and "edges across the nozzle" in summary["in_words"]
+    assert rows["deviation"][0] == 0 and 0 < rows["deviation"][1] < 1 and (rows["processor_s"] > 0).all()
+    assert rows["share_of_smoothing"][0] > 0 == rows["share_of_smoothing"][1]
+    assert os.path.getsize(folder + "/report.png") > 0
 
 
 def test_salzman_jet_goes_on_from_a_checkpoint(folder):
