@@ -54,7 +54,7 @@ def arguments():
     p.add_argument("--slot", type=float, nargs=2, default=(0.2, 0.05), help="begin and width of the slot [m]")
     p.add_argument("--slot-air", type=float, default=1.0, help="velocity of the air in the slot over that of particles")
     p.add_argument("--output-every", type=float, default=0.01, help="time between ParaView outputs [s]")
-    p.add_argument("--report", choices=("schemes", "left-open"), help="compare schemes and steps, or what the paper leaves open")
+    p.add_argument("--report", choices=("schemes", "left-open"), help="schemes and steps, or what is left open, compared")
     p.add_argument("--seed", type=int, default=1, help="seed of the places of parcels")
     p.add_argument("--output", default="out/jet_in_cross_flow", help="folder for results")
     return p
@@ -215,8 +215,8 @@ def main(coupling="conservative", time_step=4.9e-5, end_time=0.2, coarse_grainin
     return finish(output, scene, record, {
         "coupling": coupling, "time_step": time_step, "end_time": end_time, "coarse_graining": coarse_graining,
         "closure": closure, "steps": step, "stable": stable, "wall_time": wall,
-        "processor_milliseconds_per_step": 1e3 * np.mean(spent[len(spent) // 2:] or np.nan), "cells": comm.allreduce(scene.air.num_cells),
-        "courant": scene.air.courant(time_step) if stable else None})
+        "processor_milliseconds_per_step": 1e3 * np.mean(spent[len(spent) // 2:] or np.nan),
+        "cells": comm.allreduce(scene.air.num_cells), "courant": scene.air.courant(time_step) if stable else None})
 
 
 def finish(output, scene, record, numbers):

@@ -79,8 +79,8 @@ def in_words(rows):
     """Which setting buys most accuracy per second."""
     best, reference = recommended(rows), rows[0]
     size, error = deviation(best, reference)
-    return (f"{best['edges_across_nozzle']:g} edges across the nozzle, coarse graining {best['coarse_graining']:g} and steps of "
-            f"{1e3 * best['time_step_s']:g} ms {'with' if best['smoothing_length_m'] else 'without'} smoothing buy most: "
+    return (f"{best['edges_across_nozzle']:g} edges across the nozzle, coarse graining {best['coarse_graining']:g} and steps "
+            f"of {1e3 * best['time_step_s']:g} ms {'with' if best['smoothing_length_m'] else 'without'} smoothing buy most: "
             f"{100 * size:.1f} +- {100 * error:.1f} % from the reference in {best['processor_s']:.0f} s of processor time, "
             f"{reference['processor_s'] / best['processor_s']:.0f} times less than it took.")
 
@@ -123,7 +123,8 @@ def picture(folder, rows):
         for cells, marker in markers.items():
             for smoothed in (True, False):
                 some = sorted((r["coarse_graining"], r["time_step_s"], r[f"over_stokes_{place}"], r[f"error_{place}"])
-                              for r in rows if r["edges_across_nozzle"] == cells and smoothed == (r["smoothing_length_m"] > 0))
+                              for r in rows
+                              if r["edges_across_nozzle"] == cells and smoothed == (r["smoothing_length_m"] > 0))
                 finest = {a: (b, c) for a, _, b, c in reversed(some)}
                 if finest:
                     right.errorbar(list(finest), *np.array(list(finest.values())).T, color=colour, marker=marker, capsize=2,

@@ -71,7 +71,8 @@ def test_parcels_have_it_within_a_wide_class_too():
     assert (d < 2e-3).mean() == pytest.approx(1 / 21, rel=0.02)
     mesh, _ = fe_el.box((0.1,) * 3, (2,) * 3)
     p = fe_el.Particles(mesh, 2500.0)
-    jet = fe_el.Injector(p, fe_el.DiscSource((0, 0.05, 0.05), (1, 0, 0), 0.02), (1.0, 0, 0), sizes, mass_rate=1.0, number=number)
+    jet = fe_el.Injector(p, fe_el.DiscSource((0, 0.05, 0.05), (1, 0, 0), 0.02), (1.0, 0, 0), sizes, mass_rate=1.0,
+                         number=number)
     jet.advance(0.02)
     assert p.number.sum() * 2500 * np.pi / 6 * sizes.mean_cube() == pytest.approx(p.mass.sum(), rel=0.02)
     assert (p.number @ p.primary_diameter) / p.number.sum() == pytest.approx(2.5e-3, rel=0.02)
