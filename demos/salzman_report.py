@@ -79,10 +79,11 @@ def in_words(rows):
     """Which setting buys most accuracy per second."""
     best, reference = recommended(rows), rows[0]
     size, error = deviation(best, reference)
+    smoothing, seconds = "with" if best["smoothing_length_m"] else "without", best["processor_s"]
     return (f"{best['edges_across_nozzle']:g} edges across the nozzle, coarse graining {best['coarse_graining']:g} and steps "
-            f"of {1e3 * best['time_step_s']:g} ms {'with' if best['smoothing_length_m'] else 'without'} smoothing buy most: "
-            f"{100 * size:.1f} +- {100 * error:.1f} % from the reference in {best['processor_s']:.0f} s of processor time, "
-            f"{reference['processor_s'] / best['processor_s']:.0f} times less than it took.")
+            f"of {1e3 * best['time_step_s']:g} ms {smoothing} smoothing buy most: {100 * size:.1f} +- {100 * error:.1f} % "
+            f"from the reference in {seconds:.0f} s of processor time, {reference['processor_s'] / seconds:.0f} times less "
+            "than it took.")
 
 
 def write(folder, rows):

@@ -1,9 +1,11 @@
 """Injectors: rates and balances, places and times, on any number of ranks and through a checkpoint."""
 import numpy as np
 import pytest
+from dolfinx import fem
 from mpi4py import MPI
 
 import fe_el
+from fe_el.dolfinx_api import scalar_space, vector_space
 
 RHO, D = 2500.0, 20e-6
 M = RHO * np.pi / 6 * D ** 3
@@ -153,7 +155,8 @@ def test_momentum_is_exact_in_the_step_in_which_parcels_come():
                              number=1e3)
         contacts = fe_el.Contacts(p, fe_el.LinearSpringDashpot(1e-3, 0.9, 0.1), steps_per_contact=12) if contact else None
         for scheme in ("conservative", "explicit") if density < 2 else ("conservative",):
-            coupling = fe_el.Coupling.of(air, p, [fe_el.Drag("schiller_naumann"), fe_el.PressureGradient()], scheme=scheme)
+            coupling = fe_el.Coupling.of(air, p, [fe_el.Drag("schiller_naumann"), fe_el.PressureGradient(),
+                                                  fe_el.SaffmanLift()], scheme=scheme)
             for _ in range(3):
                 jet.advance(2e-3)
                 before = p.momentum()
@@ -165,6 +168,85 @@ def test_momentum_is_exact_in_the_step_in_which_parcels_come():
                 p.advance(2e-3, contacts)
                 assert p.momentum() - before == pytest.approx(2e-3 * given, rel=1e-9)
         assert p.total_number > 20
+
+
+class Constant:
+    """A force of the open list, the same per volume everywhere."""
+
+    needs = ()
+
+    def force(self, fluid):
+        """50 N/m^3 along x."""
+        return 50.0 * fluid.volume[:, None] * np.eye(fluid.particles.mesh.topology.dim)[0]
+
+
+def by_id(p, values):
+    out = np.zeros(p.next_id)
+    out[p.id] = values
+    return p.comm.allreduce(out)
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("smoothed", [False, True])
+def test_forces_act_on_late_parcels_for_as_long_as_they_are_there(dimension, smoothed):
+    """Pressure and a force of the open list along a linear pressure; what is taken back from parcels the fluid receives."""
+    p, _ = box(dimension)
+    velocity, pressure = (vector_space(p.mesh, "DG", 0), scalar_space(p.mesh, "P", 1))
+    velocity, pressure = fem.Function(velocity), fem.Function(pressure)
+    pressure.interpolate(lambda x: -300.0 * x[0])
+    middle = (0.03, *[0.05] * (dimension - 1))
+    jet = fe_el.Injector(p, fe_el.PointSource([middle]), (0.0,) * dimension, 1e-3, number_rate=500.0)
+    smoothing = fe_el.HelmholtzSmoothing(p.mesh, 0.01) if smoothed else None
+    coupling = fe_el.Coupling(p, velocity, pressure, 1.2, 1.8e-5, [fe_el.PressureGradient(), Constant()],
+                              smoothing=smoothing)
+    for _ in range(2):
+        jet.advance(0.01)
+        coupling.to_fluid(0.01)
+        coupling.to_particles(0.01)
+        late, old = np.zeros(len(p)), p.velocity[:, 0].copy()
+        late[:len(p.late)] = p.late
+        source = coupling.fields[2].x.array.reshape(-1, dimension)[:p.cells.owned, 0] @ p.cells.volume[:p.cells.owned]
+        of_parcels = (p.volume * (300.0 * late - 50.0 * (1 - late))).sum()
+        assert p.comm.allreduce(source) == pytest.approx(p.comm.allreduce(of_parcels), rel=1e-11)
+        assert p.comm.allreduce(float(late.sum())) > 1 and coupling.momentum_imbalance < 1e-12
+        expected = by_id(p, old + (1 - late) * 0.01 * 350.0 / RHO)
+        p.advance(0.01)
+        assert by_id(p, p.velocity[:, 0]) == pytest.approx(expected, rel=1e-11)
+    assert p.total_number == 10
+
+
+@pytest.mark.parametrize("by", ["buoyancy", "pressure with added mass"])
+def test_parcels_as_dense_as_the_liquid_come_in_at_rest_and_stay(by):
+    """Gravity and what carries it act for the same part of the step."""
+    mesh, _ = fe_el.box((0.1,) * 3, (3,) * 3)
+    p = fe_el.Particles(mesh, 1000.0, gravity=(0, 0, -9.81))
+    velocity, pressure = fem.Function(vector_space(mesh, "DG", 0)), fem.Function(scalar_space(mesh, "P", 1))
+    pressure.interpolate(lambda x: -9810.0 * x[2])
+    forces = [fe_el.Buoyancy()] if by == "buoyancy" else [fe_el.PressureGradient(), fe_el.AddedMass()]
+    coupling = fe_el.Coupling(p, velocity, pressure, 1000.0, 1e-3, [fe_el.Drag("schiller_naumann"), *forces])
+    jet = fe_el.Injector(p, fe_el.PointSource([(0.05,) * 3]), (0.0, 0, 0), 1e-3, number_rate=500.0)
+    for _ in range(3):
+        jet.advance(0.01)
+        coupling.to_fluid(0.01)
+        coupling.to_particles(0.01)
+        p.advance(0.01)
+    assert len(p) == 15 and np.abs(p.velocity).max() < 1e-12
+
+
+def test_late_parcels_turn_for_as_long_as_they_are_there():
+    """Torque in a fluid that turns as one, from its own time in the step on, with the exact relaxation over that part."""
+    p, _ = box(3)
+    velocity = fem.Function(vector_space(p.mesh, "DG", 0))
+    velocity.interpolate(lambda x: np.array([-4.0 * x[1], 4.0 * x[0], 0 * x[0]]))
+    coupling = fe_el.Coupling(p, velocity, None, 1.2, 1.8e-5, [fe_el.Torque()])
+    jet = fe_el.Injector(p, fe_el.PointSource([(0.05,) * 3]), (0.0, 0, 0), 1e-4, number_rate=1e4)
+    jet.advance(1e-3)
+    coupling.to_fluid(1e-3)
+    coupling.to_particles(1e-3)
+    rate, late = 60 * 1.8e-5 / (RHO * 1e-8), p.late.copy()
+    assert p.angular_velocity[:, 2] == pytest.approx(-4.0 * np.expm1(-rate * (1 - late) * 1e-3), rel=1e-6)
+    assert np.ptp(late) > 0.8
 
 
 @pytest.mark.parametrize("change, words", [

@@ -129,6 +129,7 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
         self.others = {method: [f for f in others if hasattr(f, method)] for method in METHODS}
         self.others = {method: found for method, found in self.others.items() if found}
         self.added = self._added_mass(law, scheme, mean_velocity)
+        self.pressed = self.pressure_force is not None and self.added is None  # by the gradient of the end of the step
         if self.drag is not None and self.drag.relaxing and (scheme != "conservative" or self.added is not None):
             raise ValueError("Drag(relaxing=True) needs scheme='conservative', and particles without added mass.")
         self.drags, self.reacts = self.drag is not None or self.added is not None or "drag_coefficient" in self.others, bool(
@@ -225,7 +226,7 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
         if self.buoyancy is not None:
             self._steady -= self.density * p.gravity[:self.dimension]
         self.cell_velocity = self.velocity_mean().copy()
-        if not self._as_before():
+        if not self._all_as_mapped():
             self._map(dt)
         self.layout = p.layout
         self._end("mapping", tick)
@@ -233,11 +234,11 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
         self._ask(dt)
         if self.drags:
             self._drag_fields(dt)
-        elif self.reacts:
+        elif self.reacts or self.pressed:
             self._set(2, self._reaction())
         self._end("drag", tick)
 
-    def _as_before(self):
+    def _all_as_mapped(self):
         """Whether all particles are held and where they were when they were mapped."""
         p, last = self.particles, self._mapped
         if not p.all_held():
@@ -286,7 +287,8 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
                                          rows)
         changed &= self.ahead is None
         back = self._back(rows)
-        self._kept = (u.copy(), back[:, :d]) if not self.spill.moves else None
+        kept = rows.shape[1] if self.came else d
+        self._kept = (rows[:, :kept].copy(), back[:, :kept]) if not self.spill.moves else None
         at_particles = self._gather(back, "velocity_and_slope")
         if self.pressure_force is not None:
             if self.added is not None:

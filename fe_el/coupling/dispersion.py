@@ -70,5 +70,5 @@ class TurbulentDispersion:
         _walk(p.cell, p.id, p.step, self.seed, self.fluid.eddy_viscosity, self.width, fluid.dt, seen)
         beta = self.drag.coefficient(fluid.solid_fraction, np.linalg.norm(fluid.slip, axis=1), p.primary_diameter,
                                      fluid.density, fluid.viscosity)
-        mean = np.where(p.held, beta, -p.density * np.expm1(-beta * fluid.dt / p.density) / fluid.dt)
+        mean = np.where(p.held, beta, -p.density * np.expm1(-beta * fluid.span / p.density) / fluid.span)
         return (fluid.volume * mean)[:, None] * seen

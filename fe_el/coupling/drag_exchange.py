@@ -18,7 +18,7 @@ class DragExchange:
         """A and B from the drag of each particle over the coming step."""
         p, d = self.particles, self.dimension
         cell_velocity, n, velocity = self.cell_velocity, p.cells.owned, p.velocity[:, :d]
-        back, offset = self._old_velocity(cell_velocity), None
+        back, offset = self._as_before(cell_velocity), None
         mean = self._gather(np.hstack([self.solid, back]), "solid_and_velocity")
         if self.linear is not None:
             linear = self._work.empty("linear", len(p), d)
@@ -43,7 +43,7 @@ class DragExchange:
                                  self._to_cells, lambda q: self._deposit(q)[:n], cell_velocity,
                                  self.fixed or (lambda field, filled: field), p.late)
         a, b = self.scheme.fields(self.exchange) if self.added is None else self._fields_with_added_mass(solid)
-        if self.reacts:
+        if self.reacts or self.came and self.pressed:
             b = b + self._reaction()
         if self.steps_to_check == 0:
             self._check_step(dt, beta)
@@ -105,8 +105,7 @@ class DragExchange:
         and the other forces of the fluid as of the last step."""
         p, n = self.particles, len(self.particles)
         inertia, acceleration = self._work.empty("inertia", n, 1), self._work.empty("acceleration", n, self.dimension)
-        loops.accelerations(p.held, self.volume, p.density, p.gravity, self._steady, p.mean_contact_force,
-                            self.explicit_reaction,
+        loops.accelerations(p.held, self.volume, p.density, p.gravity, self._steady, p.mean_contact_force, self.acting,
                             self._none if self.added is not None else p.properties.get("_pressure_gradient", self._none),
                             inertia, acceleration)
         return inertia, acceleration
@@ -121,7 +120,11 @@ class DragExchange:
         p.relaxation_rate[:] = self.scheme.relaxation_rate * self.of_way if self.drags else 0.0
         if self.pressure_force is not None:
             gradient = p.properties.setdefault("_pressure_gradient", np.empty((len(p), self.dimension)))
-        return loops.total_force(self.volume, p.density, self._steady, drag, reaction, slope, gradient, p.force)
+        sums = loops.total_force(self.volume, p.density, self._steady, drag, reaction, slope, gradient, p.force)
+        if self.came and self.buoyancy is not None:
+            d = self.dimension
+            p.force[:, :d] += p.late[:, None] * self.volume * self.density * p.gravity[:d]
+        return sums
 
     def _forces_with_added_mass(self, fluid_velocity, slope):
         """The same with added mass; the fluid has received what contacts did to it in the last step, too."""
@@ -136,11 +139,13 @@ class DragExchange:
             p.force[p.held, :d] += reaction[p.held]
         return given.sum(0) + reaction.sum(0), p.inertia.sum()
 
-    def _old_velocity(self, velocity):
-        """The cell velocity made ready for particles; what the last step smoothed serves again if nothing was spilled."""
-        if self._kept is None or self.spill.moves:
-            return self._back(velocity)
-        same = np.array_equal(self._kept[0], velocity) and len(self._kept[1]) == len(self.particles.cells.volume)
+    def _as_before(self, values, first=0):
+        """Cell values (the columns from ``first`` on of velocity and pressure gradient) made ready for particles; what the
+        last step smoothed serves again if nothing was spilled."""
+        columns = slice(first, first + values.shape[1])
+        if self._kept is None or self.spill.moves or self._kept[0].shape[1] < columns.stop:
+            return self._back(values)
+        same = np.array_equal(self._kept[0][:, columns], values) and len(self._kept[1]) == len(self.particles.cells.volume)
         if self.comm.allreduce(int(same)) < self.comm.size:
-            return self._back(velocity)
-        return np.ascontiguousarray(self._kept[1])
+            return self._back(values)
+        return np.ascontiguousarray(self._kept[1][:, columns])

@@ -25,6 +25,7 @@ class FluidAtParticles:
     Attributes:
         particles (Particles): the particles; their own arrays, such as ``particles.angular_velocity``.
         dt (float): the step [s].
+        span: (particles,) the part of it in which a particle is there: less than ``dt`` for one that comes in late [s].
         density, viscosity (float): of the fluid [kg/m^3], [Pa s].
         volume: (particles,) volumes [m^3].
         velocity: (particles, d) [m/s], and the rest if the force ``needs`` them:
@@ -38,6 +39,7 @@ class FluidAtParticles:
 
     def __init__(self, particles, dt, density, viscosity, volume, quantities):
         self.particles, self.dt, self.density, self.viscosity, self.volume = particles, dt, density, viscosity, volume
+        self.span = dt * (1 - particles.late) if len(particles.late) else np.full(len(particles), dt)
         self.__dict__.update(quantities)
 
     def __getattr__(self, name):

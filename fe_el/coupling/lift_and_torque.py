@@ -113,7 +113,7 @@ class Spin:
         for force in self.forces:
             k, target = force.spin(fluid)
             rate, drive = rate + k, drive + np.asarray(k)[:, None] * (target - p.angular_velocity)
-        part = np.where(p.held, fluid.dt, -np.expm1(-rate * fluid.dt) / np.maximum(rate, TINY))[:, None]
+        part = np.where(p.held, fluid.span, -np.expm1(-rate * fluid.span) / np.maximum(rate, TINY))[:, None]
         inertia = 0.1 * p.mass * p.primary_diameter ** 2
         return np.where(p.held[:, None], 0.0, part * drive), inertia[:, None] * part / fluid.dt * drive
 

@@ -209,6 +209,8 @@ class HelmholtzSmoothing:
     def __call__(self, field: np.ndarray) -> np.ndarray:
         """Smoothed cell field (owned cells, k)."""
         nodes, n = self.nodes, self.nodes.owned_nodes
+        if not field.shape[1]:
+            return field.copy()
         mean = nodes.comm.allreduce(nodes.volume @ field) / nodes.total
         values = np.empty((nodes.nodes, field.shape[1]))
         values[:n] = self._solve(nodes.load(field)[:n] - self.mass[:, None] * mean)

@@ -21,8 +21,8 @@ MOST = 10_000_000  # parcels in one step
 class Injector:
     """Lets particles or parcels in at a rate, whether or not others are in the way.
 
-    Call :meth:`advance` at the start of a step, before the coupling's. What comes in during the step moves, and feels drag,
-    from its own time on: a jet has no pulses of the step's length. What a step leaves of a particle is carried over.
+    Call :meth:`advance` at the start of a step, before the coupling's. What comes in during the step moves, and feels the
+    fluid, from its own time on: a jet has no pulses of the step's length. What a step leaves of a particle is carried over.
 
     Args:
         particles (Particles): the particles.
