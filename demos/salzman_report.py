@@ -79,11 +79,11 @@ def in_words(rows):
     """Which setting buys most accuracy per second."""
     best, reference = recommended(rows), rows[0]
     size, error = deviation(best, reference)
-    smoothing, seconds = "with" if best["smoothing_length_m"] else "without", best["processor_s"]
-    return (f"{best['edges_across_nozzle']:g} edges across the nozzle, coarse graining {best['coarse_graining']:g} and steps "
-            f"of {1e3 * best['time_step_s']:g} ms {smoothing} smoothing buy most: {100 * size:.1f} +- {100 * error:.1f} % "
-            f"from the reference in {seconds:.0f} s of processor time, {reference['processor_s'] / seconds:.0f} times less "
-            "than it took.")
+    cells, ratio, step, seconds = (best[k] for k in ("edges_across_nozzle", "coarse_graining", "time_step_s", "processor_s"))
+    smoothing = "with" if best["smoothing_length_m"] else "without"
+    return (f"{cells:g} edges across the nozzle, coarse graining {ratio:g} and steps of {1e3 * step:g} ms {smoothing} "
+            f"smoothing buy most: {100 * size:.1f} +- {100 * error:.1f} % from the reference in {seconds:.0f} s of "
+            f"processor time, where that took {reference['processor_s']:.0f} s.")
 
 
 def write(folder, rows):
