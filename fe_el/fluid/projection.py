@@ -107,11 +107,11 @@ class Projection(Boundaries):
         self.complete(change)
         self.velocity.x.array.reshape(-1, d)[:n] = q
         self.cell_halo.forward(self.velocity.x.array.reshape(-1, d))
-        state.force, state.nodal_velocity = change, work.empty("nodal_velocity", self.nodes, d)
-        node_kernels.after_exchange(step.transported, change, step.correction, step.nodal_mass, dt, state.nodal_velocity,
-                                    state.nodal_gain)
-        self.impose(state.nodal_velocity)
-        self.node_halo.forward(state.nodal_velocity)
+        new = work.empty("nodal_velocity", self.nodes, d)
+        node_kernels.after_exchange(step.transported, change, step.correction, step.nodal_mass, dt, new, state.nodal_gain)
+        self.impose(new)
+        self.node_halo.forward(new)
+        state.force, state.nodal_velocity = change, new
         if self.upwind:  # which takes nothing beforehand
             state.gain.fill(0.0)
             state.nodal_gain.fill(0.0)
