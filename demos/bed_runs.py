@@ -92,7 +92,7 @@ def run(bed, end_time, out, each, restarts, every=10, kept=(), after=None, progr
     stages["rest"] = round(wall - sum(stages.values()), 6)
     return {"particles": number, "lost_particles": number - beads.total_number, "time_step": dt, "end_time": end_time,
             "wall_time": wall, "seconds_per_stage": stages, **{"seconds_" + name: t for name, t in stages.items()},
-            **ledger.summary(),
+            **ledger.summary(), **beads.imbalance(),
             "contact_steps_per_fluid_step": contacts.steps_last,
             "largest_overlap_over_diameter": float(beads.comm.allreduce(contacts.largest_overlap, op=MPI.MAX))}
 

@@ -10,6 +10,7 @@ import numpy as np
 from mpi4py import MPI
 
 import fe_el
+from fe_el.particles.insertion import lattice_positions
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from demos import restarts
@@ -36,24 +37,29 @@ def arguments():
     p.add_argument("--output-every", type=float, default=0.05, help="time between ParaView outputs [s]")
     p.add_argument("--seed", type=int, default=1, help="seed of sizes and places")
     p.add_argument("--output", default="out/contacts_only", help="folder for results")
+    p.add_argument("--balance", action="store_true",
+                   help="with --restart on several ranks: cut the mesh anew, by the particles of the checkpoint")
     restarts.add_arguments(p)
     return p
 
 
 def main(diameter=2.5e-3, particles=6000, slot=0.02, stiffness=2000.0, friction=0.3, rolling_friction=0.0, restitution=0.7,
          settle_time=0.3, end_time=1.0, time_step=1e-3, output_every=0.05, seed=1, output="out/contacts_only",
-         checkpoint_every=None, restart=None, wall_time=None, progress=True):
+         checkpoint_every=None, restart=None, wall_time=None, balance=False, progress=True):
     """Fill the silo, open the outlet, and return the summary."""
     if not 0 < slot < WIDTH:
         raise ValueError(f"--slot is {slot}; give a width between 0 and that of the silo, {WIDTH} m.")
     logging.getLogger().setLevel(logging.WARNING)
-    folder = Path(__file__).resolve().parent.parent / "meshes"
-    mesh, _, tags = fe_el.mesh_geo(folder / "hopper.geo", width=WIDTH, depth=DEPTH, bin=BIN + 0.1, cone=CONE, slot=slot)
-    beads = fe_el.Particles(mesh, DENSITY, gravity=(0, 0, -GRAVITY))
     keep = restarts.Restarts(output, time_step, checkpoint_every, restart, wall_time)
     sizes = diameter * np.random.default_rng(seed).uniform(0.9, 1.1, particles)
+    box = (0, 0, CONE), (WIDTH, DEPTH, CONE + BIN + 0.1)
+    at_start = lattice_positions(*box, sizes, seed)
+    folder = Path(__file__).resolve().parent.parent / "meshes"
+    mesh, _, tags = fe_el.mesh_geo(folder / "hopper.geo", width=WIDTH, depth=DEPTH, bin=BIN + 0.1, cone=CONE, slot=slot,
+                                   balance=keep.origin() if balance and keep.going_on() else at_start)
+    beads = fe_el.Particles(mesh, DENSITY, gravity=(0, 0, -GRAVITY))
     if not keep.going_on():
-        beads.insert_on_lattice((0, 0, CONE), (WIDTH, DEPTH, CONE + BIN + 0.1), sizes, seed=seed)
+        beads.insert_on_lattice(*box, sizes, seed=seed)
     rolling = fe_el.RollingFriction(rolling_friction) if rolling_friction else None
     law = fe_el.LinearSpringDashpot(stiffness, restitution, friction, rolling=rolling)
     walls = [fe_el.FacetWalls(tags, WALL)]
@@ -92,7 +98,7 @@ def main(diameter=2.5e-3, particles=6000, slot=0.02, stiffness=2000.0, friction=
                                                                                               0) ** 1.5,
         "largest_overlap_over_diameter": beads.comm.allreduce(max(closed.largest_overlap, open_.largest_overlap),
                                                               op=MPI.MAX),
-        "kinetic_energy": rows[-1, 2], **fe_el.stage_seconds(closed, out)}
+        "kinetic_energy": rows[-1, 2], **beads.imbalance(), **fe_el.stage_seconds(closed, out)}
     shown = gather(beads)
     if beads.comm.rank == 0:
         picture(output, rows, resting, shown, numbers)

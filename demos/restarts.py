@@ -41,6 +41,10 @@ class Restarts:
             return MPI.COMM_WORLD.bcast(self.path.is_file())
         return bool(self.restart)
 
+    def origin(self):
+        """The file that the run goes on from, if it does."""
+        return self.path if self.restart is True else Path(self.restart)
+
     def checkpoints(self, *parts):
         """The checkpoints of a run with these parts; ``None`` stands for physics that the scene leaves out."""
         return fe_el.Checkpoints(self.path, *(p for p in parts if p is not None), every=self.every, restart=self.restart,

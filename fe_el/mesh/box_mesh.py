@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 from fe_el.checks import numbers
 from fe_el.dolfinx_api import geometry_nodes
-from fe_el.mesh.partition import create_mesh
+from fe_el.mesh.partition import Balance, create_mesh
 
 SIDES = {"x-": 1, "x+": 2, "y-": 3, "y+": 4, "z-": 5, "z+": 6}
 
@@ -29,27 +29,29 @@ def _on_side(k, at, tolerance, x):
 
 
 def box(lengths: Sequence[float] | np.ndarray, cells: Sequence[int], comm: MPI.Comm = MPI.COMM_WORLD,
-        slices_along: int | None = None) -> tuple[dmesh.Mesh, Any]:
+        slices_along: int | None = None, balance: Balance = None) -> tuple[dmesh.Mesh, Any]:
     """A rectangle (crossed triangles) or box (tetrahedra) from the origin.
 
     Args:
         lengths: 2 or 3 edge lengths [m].
         cells: squares or cubes per direction.
         slices_along (int): axis across which every rank gets a slice; absent: dolfinx partitions by the graph of cells.
+        balance: places of the particles (particles, 2 or 3) [m], or a checkpoint that holds them: every rank gets as much
+            work with cells and particles; absent: as if there were none.
 
     Returns:
         (mesh, facet_tags): the sides x-, x+, y-, y+, z-, z+ have the tags 1 to 6.
 
     Raises:
-        ValueError: for lengths or numbers that are not positive.
+        ValueError: for lengths or numbers that are not positive, or places that are none.
 
     Note:
         Collective.
     """
     check_box(lengths, cells)
     d = len(lengths)
-    whole = comm
-    if slices_along is not None:
+    whole, cut = comm, slices_along is not None or balance is not None
+    if cut:
         comm = MPI.COMM_SELF
     corners = [np.zeros(d), np.asarray(lengths, float)]
     if d == 2:
@@ -57,9 +59,10 @@ def box(lengths: Sequence[float] | np.ndarray, cells: Sequence[int], comm: MPI.C
                                       diagonal=dmesh.DiagonalType.crossed)
     else:
         mesh = dmesh.create_box(comm, corners, cells, dmesh.CellType.tetrahedron, ghost_mode=dmesh.GhostMode.shared_facet)
-    if slices_along is not None:
+    if cut:
         nodes = geometry_nodes(mesh) if whole.rank == 0 else np.zeros((0, d + 1), np.int64)
-        mesh = create_mesh(whole, nodes, mesh.geometry.x[:, :d] if whole.rank == 0 else np.zeros((0, d)), slices_along)
+        x = mesh.geometry.x[:, :d] if whole.rank == 0 else np.zeros((0, d))
+        mesh = create_mesh(whole, nodes, x, slices_along, balance)
     found, sides = [], []
     for k in range(d):
         for side, at in enumerate((0.0, lengths[k])):

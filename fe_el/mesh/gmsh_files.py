@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 from fe_el.checks import finite_number, positive_number
 from fe_el.dolfinx_api import tags_by_vertices
-from fe_el.mesh.partition import create_mesh
+from fe_el.mesh.partition import Balance, create_mesh
 from fe_el.parallel.failures import end_all_ranks_on_errors
 
 if TYPE_CHECKING:
@@ -17,10 +17,12 @@ if TYPE_CHECKING:
 
 
 def read_mesh(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, dimension: int = 3, slices_along: int | None = None,
-              scale: float = 1.0) -> "tuple[Mesh, Any, Any]":
+              scale: float = 1.0, balance: Balance = None) -> "tuple[Mesh, Any, Any]":
     """Read a gmsh ``.msh`` file with physical groups: (mesh, cell tags, facet tags).
 
     ``slices_along`` (0, 1 or 2) gives every rank a slice across that axis; absent: dolfinx partitions by the graph of cells.
+    ``balance``, places of the particles (particles, 2 or 3) [m] or a checkpoint that holds them, gives every rank as much
+    work with cells and particles; absent: as if there were none.
     ``scale`` multiplies all coordinates: 0.001 for a mesh in millimetres. Names that gmsh has for groups stand for their
     numbers wherever facet tags and groups are taken; ``facet_tags.names`` holds them.
 
@@ -45,12 +47,14 @@ def read_mesh(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, dimension: int 
         except Exception as error:  # gmsh raises nothing narrower
             message = f"gmsh cannot read {path}: {error}; give a .msh file that gmsh wrote."
     _end_if(gmsh, comm, message)
-    return _from_gmsh(gmsh, comm, dimension, slices_along, scale)
+    return _from_gmsh(gmsh, comm, dimension, (slices_along, balance), scale)
 
 
 def mesh_geo(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, dimension: int = 3, slices_along: int | None = None,
-             **parameters: float) -> "tuple[Mesh, Any, Any]":
+             balance: Balance = None, **parameters: float) -> "tuple[Mesh, Any, Any]":
     """Mesh a gmsh ``.geo`` file with the given values of its parameters: (mesh, cell tags, facet tags).
+
+    ``slices_along`` and ``balance`` as of :func:`read_mesh`.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -76,7 +80,7 @@ def mesh_geo(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, dimension: int =
             (Path(folder) / "scene.geo").write_text("".join(lines) + f'Include "{Path(path).resolve()}";\n')
             gmsh.open(str(Path(folder) / "scene.geo"))
         gmsh.model.mesh.generate(dimension)
-    return _from_gmsh(gmsh, comm, dimension, slices_along)
+    return _from_gmsh(gmsh, comm, dimension, (slices_along, balance))
 
 
 def _dimension(value):
@@ -128,7 +132,7 @@ def _elements(model, dimension, number):
     return np.concatenate(vertices), np.concatenate(groups)
 
 
-def _from_gmsh(gmsh, comm, dimension, slices_along, scale=1.0):
+def _from_gmsh(gmsh, comm, dimension, parts, scale=1.0):
     """The mesh of gmsh's present model on rank 0, which is closed. Collective."""
     _end_if(gmsh, comm, _fault(gmsh, dimension) if comm.rank == 0 else None)
     d = dimension
@@ -144,7 +148,7 @@ def _from_gmsh(gmsh, comm, dimension, slices_along, scale=1.0):
         facets, facet_groups = _elements(gmsh.model, d - 1, number)
         names = {gmsh.model.getPhysicalName(d, tag): tag for d, tag in gmsh.model.getPhysicalGroups(d - 1)}
         gmsh.finalize()
-    mesh = create_mesh(comm, cells, scale * x, slices_along)
+    mesh = create_mesh(comm, cells, scale * x, *parts)
     facet_tags = tags_by_vertices(mesh, d - 1, facets, facet_groups)
     facet_tags.names = {name: tag for name, tag in comm.bcast(names).items() if name}
     return mesh, tags_by_vertices(mesh, d, cells, cell_groups), facet_tags

@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 from fe_el.dolfinx_api import create_mesh, geometry_nodes, with_geometry
 from fe_el.mesh.box_mesh import check_box
-from fe_el.mesh.partition import slices_of
+from fe_el.mesh.partition import Balance, parts_of
 
 
 def _wrapped_cells(lengths, cells, periodic):
@@ -48,7 +48,8 @@ def _cellwise_geometry(cell_x):
 
 
 def periodic_box(lengths: Sequence[float] | np.ndarray, cells: Sequence[int], periodic: Sequence[bool] | None = None,
-                 comm: MPI.Comm = MPI.COMM_WORLD, slices_along: int | None = None) -> tuple[dmesh.Mesh, Any]:
+                 comm: MPI.Comm = MPI.COMM_WORLD, slices_along: int | None = None,
+                 balance: Balance = None) -> tuple[dmesh.Mesh, Any]:
     """A rectangle (crossed triangles) or box (tetrahedra) from the origin, periodic in the chosen directions.
 
     Args:
@@ -56,13 +57,15 @@ def periodic_box(lengths: Sequence[float] | np.ndarray, cells: Sequence[int], pe
         cells: squares or cubes per direction; at least 3 in a periodic direction.
         periodic: one truth value per direction; absent: all periodic.
         slices_along (int): axis across which every rank gets a slice; absent: dolfinx partitions by the graph of cells.
+        balance: places of the particles (particles, 2 or 3) [m], or a checkpoint that holds them: every rank gets as much
+            work with cells and particles; absent: as if there were none.
 
     Returns:
         (mesh, facet_tags): sides that are not periodic have the tags of :func:`fe_el.box`. Vertices at the wrap have no
         single coordinate: use cell-wise geometry (fe_el does) in your own forms and output.
 
     Raises:
-        ValueError: for lengths or numbers out of range.
+        ValueError: for lengths or numbers out of range, or places that are none.
 
     Note:
         Collective.
@@ -78,10 +81,10 @@ def periodic_box(lengths: Sequence[float] | np.ndarray, cells: Sequence[int], pe
     first = np.zeros((numbers.max() + 1, d))
     first[numbers[::-1].ravel()] = cell_x[::-1].reshape(-1, d)
     root = comm.rank == 0
-    slices = None
-    if slices_along is not None:
-        slices = slices_of(cell_x.mean(1) if root else np.zeros((0, d)), numbers if root else numbers[:0], slices_along)
-    graph = create_mesh(comm, numbers if root else numbers[:0], first if root else first[:0], slices)
+    parts = None
+    if slices_along is not None or balance is not None:
+        parts = parts_of(comm, *((cell_x, numbers) if root else (cell_x[:0], numbers[:0])), slices_along, balance)
+    graph = create_mesh(comm, numbers if root else numbers[:0], first if root else first[:0], parts)
     original = np.array(graph.topology.original_cell_index)
     dofs = geometry_nodes(graph)
     inputs = np.array(graph.geometry.input_global_indices)[dofs]

@@ -10,6 +10,7 @@ from fe_el.parallel.exchange import raise_everywhere
 from fe_el.parallel.failures import end_all_ranks_on_errors
 from fe_el.particles import insertion, motion, rows
 from fe_el.particles.arrays import FIELDS
+from fe_el.particles.balance import Balanced
 from fe_el.particles.held import Held
 from fe_el.particles.open_boundaries import OpenBoundaries, Rebounds
 from fe_el.particles.saved_particles import SavedParticles
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from fe_el.particles.multiphase_pic import MultiphasePIC
 
 
-class Particles(SavedParticles, Held):
+class Particles(SavedParticles, Held, Balanced):
     """Spheres with position [m], velocity [m/s], angular velocity [1/s], diameter [m] and density [kg/m^3].
 
     A parcel stands for ``number`` particles of ``primary_diameter``, whole or not, each parcel for its own: ``diameter`` is
@@ -201,6 +202,7 @@ class Particles(SavedParticles, Held):
         self.gravity = finite_vector("gravity", self.gravity)
         self._check_arrays()
         self.step += 1
+        self.say_balance()
         if contacts is None:
             late = self.properties.pop("_late", np.zeros(0))
             if self.all_held():
@@ -212,8 +214,7 @@ class Particles(SavedParticles, Held):
         bad, message = np.flatnonzero(~np.isfinite(self.velocity).all(1)), None
         if len(bad):
             message = (f"Particle {self.id[bad[0]]} has velocity {self.velocity[bad[0]].tolist()} at step {self.step} on "
-                       f"rank "
-                       f"{self.comm.rank}. Use a smaller step or a softer contact law.")
+                       f"rank {self.comm.rank}. Use a smaller step or a softer contact law.")
         raise_everywhere(self.comm, FloatingPointError, message)
         if contacts is None:
             self.locate(in_order=False)

@@ -118,15 +118,8 @@ def load_checkpoint(path: str | Path, *parts: Any) -> dict[str, Any]:
     Note:
         Collective.
     """
-    comm, data, message = comm_of(parts), None, None
-    if comm.rank == 0:
-        try:
-            data, message = _read(Path(path))
-        except OSError as error:
-            message = f"The checkpoint {path} cannot be read: {error}."
-    missing = comm.bcast(comm.rank == 0 and not Path(path).is_file())
-    raise_everywhere(comm, FileNotFoundError if missing else ValueError, message)
-    data = comm.bcast(data)
+    comm = comm_of(parts)
+    data = _read_everywhere(path, comm)
     names = [f"{k}_{type(part).__name__}" for k, part in enumerate(parts)]
     saved = sorted({name for name in data if name != "numbers"}, key=lambda name: int(name.split("_")[0]))
     if names != saved:
@@ -138,6 +131,35 @@ def load_checkpoint(path: str | Path, *parts: Any) -> dict[str, Any]:
     for part, state in zip(parts, states):
         _part(part).restore(state)
     return data.get("numbers", {})
+
+
+def places_in(path: str | Path, comm: Any) -> np.ndarray:
+    """Places (particles, 3) of the first particles that a checkpoint holds, on every rank [m].
+
+    Raises:
+        FileNotFoundError, ValueError: as :func:`load_checkpoint`, and for a checkpoint without particles.
+
+    Note:
+        Collective.
+    """
+    data = _read_everywhere(path, comm)
+    of = sorted((int(name.split("_")[0]), name) for name in data if name.endswith("_Particles"))
+    if not of:
+        raise ValueError(f"The checkpoint {path} holds no particles; give one that does, or the places of the particles.")
+    return data[of[0][1]]["particles"]["position"]
+
+
+def _read_everywhere(path, comm):
+    """What a file holds, on every rank, or the error that says why not. Collective."""
+    data, message = None, None
+    if comm.rank == 0:
+        try:
+            data, message = _read(Path(path))
+        except OSError as error:
+            message = f"The checkpoint {path} cannot be read: {error}."
+    missing = comm.bcast(comm.rank == 0 and not Path(path).is_file())
+    raise_everywhere(comm, FileNotFoundError if missing else ValueError, message)
+    return comm.bcast(data)
 
 
 def _read(path):
