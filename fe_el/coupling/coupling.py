@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from dolfinx import fem
 
-from fe_el.checks import function_or_class_of, positive_number, same_mesh
+from fe_el.checks import function_or_class_of, positive_number
 from fe_el.coupling import mapping as _mapping
 from fe_el.coupling import particle_loops as loops
 from fe_el.coupling.added_mass import AddedMass
 from fe_el.coupling.drag_exchange import DragExchange
 from fe_el.coupling.fields import CellMean, PressureGradientMean
-from fe_el.coupling.fitting import fitting
+from fe_el.coupling.fitting import check_functions, fitting
 from fe_el.coupling.fluid_at_particles import METHODS, AskedOfFluid, check_force
 from fe_el.coupling.forces import Buoyancy, Drag, PressureGradient
 from fe_el.coupling.ledger import Ledger
@@ -97,10 +97,7 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
                  largest_solid_fraction: float = 0.74, positions: str | None = None, mean_velocity: Any = None) -> None:
         if not hasattr(particles, "relaxation_rate") or isinstance(particles, type):
             raise ValueError(f"The particles are {particles!r}; pass an object of Particles.")
-        for name, function in (("velocity", velocity), ("pressure", pressure), ("mean velocity", mean_velocity)):
-            if not hasattr(function, "ufl_shape") and (function is not None or name == "velocity"):
-                raise ValueError(f"The {name} of the fluid is {function!r}; pass its Function, or a UFL expression.")
-            same_mesh(f"values of the {name}", function, particles.mesh)
+        check_functions(particles.mesh, velocity, pressure, mean_velocity)
         fluid_density = positive_number("fluid density", fluid_density)
         fluid_viscosity = positive_number("fluid viscosity", fluid_viscosity)
         if not 0 < positive_number("largest_solid_fraction", largest_solid_fraction) < 1:

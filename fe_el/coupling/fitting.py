@@ -1,6 +1,7 @@
 """Whether fluid, particles, forces and the step of a coupling fit each other."""
 import numpy as np
 
+from fe_el.checks import same_mesh
 from fe_el.coupling.added_mass import AddedMass
 from fe_el.coupling.forces import Buoyancy, Drag, PressureGradient, ViscousStress
 from fe_el.coupling.light_particles import lightest_of
@@ -41,6 +42,14 @@ def fitting(flow, particles, forces, takes_shares=False):
             force = PressureGradient(mean, at_end if force.at_end is None else force.at_end)
         out.append(force)
     return out
+
+
+def check_functions(mesh, velocity, pressure, mean_velocity):
+    """Refuse what is no function of the mesh; pressure and mean velocity may be ``None``."""
+    for name, function in (("velocity", velocity), ("pressure", pressure), ("mean velocity", mean_velocity)):
+        if not hasattr(function, "ufl_shape") and (function is not None or name == "velocity"):
+            raise ValueError(f"The {name} of the fluid is {function!r}; pass its Function, or a UFL expression.")
+        same_mesh(f"values of the {name}", function, mesh)
 
 
 def step_beyond_sense(dt, fluid_rate, particle_rate, explicit):
