@@ -7,28 +7,29 @@ import fe_el
 RHO, RHO_P, H, G = 1000.0, 2500.0, 1e-3, 9.81
 
 
-def fall(ratio, reynolds, seed, cells=(8, 8, 8), travel=0.0, step=0.5, start=0.0):
-    """Speed of a sphere of ``ratio`` cells, over its terminal one, two-way in a periodic box; mean of the last quarter."""
+def fall(ratio, reynolds, seed, cells=(8, 8, 8), travel=0.0, step=0.5, start=0.0, places=None):
+    """Mean speed of spheres of ``ratio`` cells, one or at ``places`` in a unit box, relative to the mixture's and over the
+    terminal one, two-way in a periodic box; mean of the last quarter."""
+    places = np.random.default_rng(seed).uniform(0.3, 0.7, (1, 3)) if places is None else places
     d, length, down = ratio * H, np.array(cells) * H, np.array([0, 0, -G])
     drag = float(fe_el.drag_laws.schiller_naumann(np.zeros(1), np.array([reynolds]))[0])
     mu = np.sqrt((RHO_P - RHO) * G * d ** 3 * RHO / (18 * reynolds * drag))
-    terminal, solid = reynolds * mu / (RHO * d), np.pi / 6 * d ** 3 / length.prod()
+    terminal, solid = reynolds * mu / (RHO * d), len(places) * np.pi / 6 * d ** 3 / length.prod()
     balance = -(solid * RHO_P + (1 - solid) * RHO) * down
     dt = min(step * H * H * RHO / mu, (0.02 if not travel else 0.1) * H / terminal)
     mesh, _ = fe_el.periodic_box(length, cells)
     water = fe_el.VolumeAveragedNavierStokes(mesh, None, RHO, mu, down, 1e-9, mean_pressure_gradient=balance)
-    bead = fe_el.Particles(mesh, RHO_P, down)
-    place = np.random.default_rng(seed).uniform(0.3, 0.7, (1, 3)) * length
-    bead.insert_at(place, d, velocity=(0.0, 0.0, -start * terminal))
+    beads = fe_el.Particles(mesh, RHO_P, down)
+    beads.insert_at(places * length, d, velocity=(0.0, 0.0, -start * terminal))
     forces = [fe_el.Drag("schiller_naumann"), fe_el.PressureGradient(balance), fe_el.UndisturbedVelocity()]
-    coupling, speed = fe_el.Coupling(bead, water.velocity, water.pressure, RHO, mu, forces), []
+    coupling, speed = fe_el.Coupling(beads, water.velocity, water.pressure, RHO, mu, forces), []
     for _ in range(int(travel * H / terminal / dt) or max(60, int(4 * H * H * RHO / mu / dt))):
         coupling.to_fluid(dt)
         water.advance(dt, coupling.fields)
         coupling.to_particles(dt)
-        bead.advance(dt)
+        beads.advance(dt)
         assert coupling.momentum_imbalance < 1e-12
-        speed.append(-bead.velocity[0, 2] / terminal)
+        speed.append((water.momentum()[2] / (RHO * length.prod()) - beads.velocity[:, 2].mean()) / terminal)
     return float(np.mean(speed[-len(speed) // 4:]))
 
 
@@ -43,6 +44,45 @@ def test_sphere_in_creeping_flow(ratio):
 def test_sphere_at_reynolds_number_146(ratio):
     """Over nine cells, before it meets its own wake."""
     assert fall(ratio, 146.0, 1, (8, 8, 12), 9.0, start=1.0) == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("ratio", [0.1, 0.5, 1.0])
+@pytest.mark.parametrize("reynolds", [20.0, 1000.0])
+def test_sphere_between_creeping_and_fast(ratio, reynolds):
+    """Where neither viscosity nor the flow past it alone carries away what the sphere has done; mean of two places."""
+    found = np.mean([fall(ratio, reynolds, seed, (12, 12, 12), 9.0, start=1.0) for seed in (1, 2)])
+    assert found == pytest.approx(1.0, abs=0.05)
+
+
+def stokeslet(place, cells, width):
+    """Vertical velocity at ``place`` in a periodic cube of ``cells``, of a force of one along it, times the viscosity: the
+    sum over waves (Hasimoto 1959), of a force spread over ``width``."""
+    number = np.arange(-40, 41)
+    k = np.stack(np.meshgrid(number, number, number, indexing="ij"), -1).reshape(-1, 3) * 2 * np.pi / cells
+    k = k[(k != 0).any(1)]
+    square = (k ** 2).sum(1)
+    return (np.cos(k @ place) * (1 - k[:, 2] ** 2 / square) / square * np.exp(-square * width ** 2 / 2)).sum() / cells ** 3
+
+
+@pytest.mark.parametrize("ratio, cells", [(0.5, 8), (1.0, 12)])
+@pytest.mark.parametrize("apart", [(0.0, 0.0, 3.0), (3.0, 0.0, 0.0)])
+def test_two_spheres_carry_each_other(ratio, cells, apart):
+    """In line and side by side at three diameters: their speed over that of one is what point forces give."""
+    apart, alone, both = ratio * np.array(apart), [], []
+    for seed in range(3):
+        place = np.random.default_rng(seed).uniform(0.3, 0.6, 3)
+        alone.append(fall(ratio, 0.08, 0, (cells,) * 3, places=place[None]))
+        both.append(fall(ratio, 0.08, 0, (cells,) * 3, places=np.array([place, place + apart / cells])))
+    one = 1 - 2.837 * ratio / (2 * cells)
+    exact = 1 + 3 * np.pi * ratio * stokeslet(apart, cells, 0.3 * ratio) / one
+    assert np.mean(both) / np.mean(alone) == pytest.approx(exact, rel=0.04)
+
+
+@pytest.mark.parametrize("reynolds", [20.0, 146.0])
+def test_a_dilute_suspension_settles_as_its_law_says(reynolds):
+    """A thousandth of spheres half as large as a cell, over nine cells."""
+    places = np.random.default_rng(2).uniform(0, 1, (12, 3))
+    assert fall(0.5, reynolds, 0, (8, 8, 12), 9.0, start=1.0, places=places) == pytest.approx(1.0, abs=0.03)
 
 
 @pytest.mark.parametrize("step", [0.05, 5.0])
