@@ -216,6 +216,22 @@ def test_forces_act_on_late_parcels_for_as_long_as_they_are_there(dimension, smo
     assert p.total_number == 10
 
 
+@pytest.mark.ranks
+@pytest.mark.parametrize("at_end", [False, True])
+def test_the_fluid_keeps_the_mean_gradient_on_parcels_that_are_not_there_yet(at_end):
+    """Its void fraction leaves out their volume from the start of the step; at rest nothing else acts."""
+    p, _ = box(3)
+    velocity, pressure = fem.Function(vector_space(p.mesh, "DG", 0)), fem.Function(scalar_space(p.mesh, "P", 1))
+    jet = fe_el.Injector(p, fe_el.PointSource([(0.03, 0.05, 0.05)]), (0.0, 0, 0), 1e-3, number_rate=500.0)
+    coupling = fe_el.Coupling(p, velocity, pressure, 1.2, 1.8e-5, [fe_el.PressureGradient((100.0, 0, 0), at_end)])
+    jet.advance(0.01)
+    late = p.comm.allreduce(float(p.volume @ p.late) if len(p.late) else 0.0)
+    coupling.to_fluid(0.01)
+    coupling.to_particles(0.01)
+    source = coupling.fields[2].x.array.reshape(-1, 3)[:p.cells.owned, 0] @ p.cells.volume[:p.cells.owned]
+    assert late > 0 and p.comm.allreduce(source) == pytest.approx(100.0 * late, rel=1e-10)
+
+
 @pytest.mark.parametrize("by", ["buoyancy", "pressure with added mass"])
 def test_parcels_as_dense_as_the_liquid_come_in_at_rest_and_stay(by):
     """Gravity and what carries it act for the same part of the step."""

@@ -226,3 +226,28 @@ def test_forty_steps_are_the_same_on_any_number_of_ranks(scene):
         flow = air.momentum() / (air.density * p.comm.allreduce(air.volume.sum())) if air else np.zeros(1)
         sums.append(np.concatenate([where, p.momentum() / size, [p.kinetic_energy() / size, p.total_number], flow]))
     assert sums[0] == pytest.approx(sums[1], rel=1e-10, abs=1e-11)
+
+
+@pytest.mark.ranks
+def test_a_checkpoint_keeps_the_eddy_viscosity_and_the_kind_of_pressure_force(folder):
+    """What turbulent dispersion reads of the step before; and a run does not go on with another pressure force."""
+    mesh, tags = fe_el.box((0.04,) * 3, (4,) * 3)
+
+    def scene(at_end):
+        air = fe_el.VolumeAveragedNavierStokes(mesh, tags, 1.2, 1.8e-5, turbulence=fe_el.Smagorinsky())
+        air.set_velocity(1, (1.0, 0, 0))
+        air.set_no_slip((3, 4, 5, 6))
+        air.set_pressure(2)
+        beads = fe_el.Particles(mesh, 2500.0)
+        return air, beads, fe_el.Coupling.of(air, beads, [fe_el.Drag("beetstra"), fe_el.PressureGradient(at_end=at_end)])
+    air, beads, coupling = scene(True)
+    for _ in range(2):
+        coupling.to_fluid(1e-3)
+        air.advance(1e-3, coupling.fields)
+        coupling.to_particles(1e-3)
+    fe_el.save_checkpoint(folder + "/a.h5", air, beads, coupling)
+    again = scene(True)
+    fe_el.load_checkpoint(folder + "/a.h5", *again)
+    assert air.eddy_viscosity.max() > 0 and (again[0].eddy_viscosity == air.eddy_viscosity).all()
+    with pytest.raises(ValueError, match="has 4 fields, this one 3.*at_end=True"):
+        fe_el.load_checkpoint(folder + "/a.h5", *scene(False))

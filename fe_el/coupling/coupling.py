@@ -21,6 +21,7 @@ from fe_el.coupling.light_particles import LightParticles
 from fe_el.coupling.maps import Maps
 from fe_el.coupling.open_forces import OpenForces
 from fe_el.coupling.over_filled import Spill
+from fe_el.coupling.saved_coupling import SavedCoupling
 from fe_el.coupling.schemes import scheme_of
 from fe_el.coupling.smoothing import FixedValues
 from fe_el.coupling.undisturbed import UndisturbedVelocity
@@ -35,7 +36,7 @@ def _first_of(kind, forces):
     return next((f for f in forces if isinstance(f, kind)), None)
 
 
-class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
+class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoupling):
     """Momentum exchange of particles with any fluid that takes a void fraction, a drag coefficient and a source.
 
     Particles give their volume, drag and momentum to cells through the shares of a mapping, the excess of over-filled cells
@@ -128,7 +129,8 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
         self.added = self._added_mass(law, scheme, mean_velocity)
         self.pressed = self.pressure_force is not None and self.added is None  # by the gradient of the end of the step
         if self.drag is not None and self.drag.relaxing and (scheme != "conservative" or self.added is not None):
-            raise ValueError("Drag(relaxing=True) needs scheme='conservative', and particles without added mass.")
+            raise ValueError("Drag(relaxing=True) needs scheme='conservative', no added mass, and the pressure of the step "
+                             "before: PressureGradient(at_end=False).")
         self.drags, self.reacts = self.drag is not None or self.added is not None or "drag_coefficient" in self.others, bool(
             {"force", "spin"} & set(self.others))
         self.mapping, self.smoothing, self.scheme = _mapping.mapping_of(mapping), smoothing, scheme_of(scheme)
@@ -188,20 +190,10 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles):
             raise ValueError(f"The fluid is {fluid!r}; pass an object of VolumeAveragedNavierStokes or SubCycled.")
         if flow is not fluid:
             kwargs = {"mean_velocity": fluid.mean_velocity, **kwargs}
-        pressure, one_step = flow.pressure if flow is fluid else fluid.mean_pressure, flow is fluid
-        forces = fitting(flow, particles, forces, one_step and kwargs.get("scheme", "conservative") == "conservative")
+        pressure, one_step = flow.pressure if flow is fluid else fluid.mean_pressure, kwargs.get("mean_velocity") is None
+        plain = one_step and kwargs.get("scheme", "conservative") == "conservative"
+        forces = fitting(flow, particles, forces, plain and getattr(flow, "takes_pressure_share", False))
         return cls(particles, flow.velocity, pressure, flow.density, flow.viscosity, forces, **kwargs)
-
-    def saved(self) -> dict[str, tuple]:
-        """Whether the fluid answers, and the count of over-filled cells, for a checkpoint."""
-        answers = -1 if self.answers is None else int(self.answers)
-        return {"same": (None, {"answers": answers, "over_filled_total": self.over_filled_total})}
-
-    def restore(self, state: dict[str, dict]) -> None:
-        """Take them back."""
-        answers = int(state["same"]["answers"])
-        self.answers = None if answers < 0 else bool(answers)
-        self.over_filled_total, self._kept, self._mapped = int(state["same"]["over_filled_total"]), None, None
 
     # -- particles to fluid --------------------------------------------------------------------------------------------
 

@@ -64,6 +64,8 @@ class DragExchange:
     def _fields_with_added_mass(self, solid):
         """The same, and the share of the pressure gradient that particles hand on to the fluid."""
         rows, self.late = self.added.fields(self.exchange, self.particles, solid, self.density)
+        if self.came and self.pressure_force is not None:  # the constant part of what is handed on while they are not there
+            self.late = self.late + self.particles.late[:, None] * self.volume * self.pressure_force.mean[:self.dimension]
         out = self._to_cells(np.hstack([rows[:, :2], self.late - rows[:, 2:]]))
         self._set(3, out[:, 1:2])
         return out[:, :1], out[:, 2:]
@@ -131,7 +133,8 @@ class DragExchange:
         p, reaction, d = self.particles, self.explicit_reaction, self.dimension
         given = self.added.force(p, fluid_velocity, slope)
         if self.own is not None:
-            self.own.update(p, given + self.volume * slope if slope.shape[1] else given)
+            there = self.volume * (1 - p.late[:, None]) if self.came else self.volume
+            self.own.update(p, given + there * slope if slope.shape[1] else given)
         given = given - self.late
         p.relaxation_rate[:] = self.added.relaxation_rate
         p.force[p.held, :d] += self.volume[p.held] * self._steady

@@ -12,6 +12,8 @@ class SavedFluid(CellNodeFluid):
         """Fields of the fluid that the next step starts from."""
         n, own, d = self.num_cells, self.owned_nodes, self.dimension
         cells, nodes, numbers = self.state.saved(own)
+        if self.eddy_viscosity is not None:
+            cells["eddy_viscosity"] = self.eddy_viscosity
         cells["velocity"], nodes["pressure"] = self.velocity.x.array.reshape(-1, d)[:n], self.pressure.x.array[:own]
         return {"cells": (self.corner.mean(1), cells), "nodes": (self.node_position[:own], nodes),
                 "same": (None, {"time": self.time, "step": self.step, **numbers})}
@@ -23,6 +25,7 @@ class SavedFluid(CellNodeFluid):
         if "_last_flux" in cells:  # a file of an older version
             cells["last_flux"] = cells.pop("_last_flux")
         self.velocity.x.array.reshape(-1, d)[:n] = cells.pop("velocity")
+        self.eddy_viscosity = cells.pop("eddy_viscosity", None)
         self.pressure.x.array[:own] = owned.pop("pressure")
         self.velocity.x.scatter_forward()
         self.pressure.x.scatter_forward()

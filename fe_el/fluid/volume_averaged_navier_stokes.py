@@ -70,6 +70,8 @@ class VolumeAveragedNavierStokes(Transport, Projection, Ledger, SavedFluid):
         Collective.
     """
 
+    takes_pressure_share = True  #: ``advance`` takes a fourth field; see :class:`fe_el.PressureGradient`
+
     def __init__(self, mesh: "Mesh", facet_tags: Any = None, density: float = 1.2, viscosity: float = 1.8e-5,
                  gravity: ArrayLike | None = None, tolerance: float = 1e-8, mean_pressure_gradient: ArrayLike | None = None,
                  stress_of_mixture: bool = False, turbulence: Callable[[Any, np.ndarray], np.ndarray] | None = None,

@@ -1,0 +1,32 @@
+"""What a checkpoint keeps of a coupling."""
+from typing import Any
+
+
+class SavedCoupling:
+    """State of :class:`Coupling` between two steps; what belongs to particles is kept with them."""
+
+    fields: tuple[Any, ...]
+    answers: bool | None
+    over_filled_total: int
+    _kept: tuple[Any, ...] | None
+    _mapped: tuple[Any, ...] | None
+
+    def saved(self) -> dict[str, tuple]:
+        """Whether the fluid answers, the count of over-filled cells and the number of fields, for a checkpoint."""
+        answers = -1 if self.answers is None else int(self.answers)
+        return {"same": (None, {"answers": answers, "over_filled_total": self.over_filled_total,
+                                "fields": len(self.fields)})}
+
+    def restore(self, state: dict[str, dict]) -> None:
+        """Take them back.
+
+        Raises:
+            ValueError: for the state of a coupling with other fields.
+        """
+        before = int(state["same"].get("fields", len(self.fields)))
+        if before != len(self.fields):
+            raise ValueError(f"The coupling in the checkpoint has {before} fields, this one {len(self.fields)}; give the "
+                             f"same forces, with PressureGradient(at_end={before == 4}) if they hold no AddedMass.")
+        answers = int(state["same"]["answers"])
+        self.answers = None if answers < 0 else bool(answers)
+        self.over_filled_total, self._kept, self._mapped = int(state["same"]["over_filled_total"]), None, None
