@@ -153,7 +153,7 @@ FLUID_CALLS = [
     (lambda factor: fe_el.Streamline(factor), "factor", "positive"),
     (lambda kappa: fe_el.Spalding(kappa), "kappa", "positive"),
     (lambda constant: fe_el.Spalding(0.4, constant), "constant", "positive"),
-    (lambda mean: fe_el.PressureGradient(mean), "mean", "components"),
+    (lambda mean: fe_el.PressureGradient(mean), "mean", "vector"),
     (lambda added_mass: fe_el.AddedMass(added_mass), "added_mass", "not negative"),
     (lambda mesh: fe_el.HelmholtzSmoothing(mesh, 1.0), "mesh", "object"),
     (lambda length: fe_el.HelmholtzSmoothing(scene()[0], length), "length", "positive"),
