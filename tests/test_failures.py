@@ -25,3 +25,27 @@ def test_an_error_ends_all_ranks_with_one_message(tmp_path, mpirun, where, said)
     run = mpirun(2, "-m", "mpi4py", str(script), where)
     assert run.returncode and said in run.stderr and run.stderr.count("Traceback (most recent call last)") == 1
     assert time.monotonic() - start < 60
+
+
+RESTARTED = """
+import sys
+import fe_el
+mesh, tags = fe_el.box((0.01, 0.01), (4, 4))
+beads = fe_el.Particles(mesh, 2500.0)
+beads.insert_at([[0.005, 0.005]], 1e-4)
+output = fe_el.ParaViewOutput(sys.argv[1], beads, every=1.0)
+output.restore({"same": {"next_time": 1.0}})
+with output:
+    output.write(0.5)
+    if mesh.comm.rank == 1:
+        raise RuntimeError("only here")
+    mesh.comm.barrier()
+"""
+
+
+def test_a_failing_rank_of_a_restarted_run_waits_for_nobody(tmp_path, mpirun):
+    """It has a last good state, and no frame yet: the list of frames would come from the first rank, which is elsewhere."""
+    script = tmp_path / "scene.py"
+    script.write_text(RESTARTED)
+    run = mpirun(2, "-m", "mpi4py", str(script), str(tmp_path / "out"))
+    assert run.returncode and "this error came on rank 1" in run.stderr and "only here" in run.stderr
