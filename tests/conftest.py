@@ -65,5 +65,5 @@ def mpirun():
 
     def start(ranks, *arguments):
         return subprocess.run(["mpirun", "-n", str(ranks), sys.executable, *arguments], capture_output=True, text=True,
-                              timeout=120, env=environment, stdin=subprocess.DEVNULL)
+                              timeout=600, env=environment, stdin=subprocess.DEVNULL)
     return start
