@@ -9,15 +9,11 @@ from mpi4py import MPI
 import fe_el
 from demos import salzman_jet as jet
 
-# edges across the nozzle, coarse graining, step [s], whether smoothed; the first is the reference, the finest of all
-SETTINGS = ((6, 10, 5e-5, True),
-            (3, 25, 1e-4, True), (4, 25, 7.5e-5, True), (5, 25, 6e-5, True), (2, 25, 1.5e-4, True),
-            (3, 25, 5e-5, True), (3, 25, 2e-4, True), (3, 25, 4e-4, True), (2, 25, 3e-4, True), (4, 25, 1.5e-4, True),
-            (4, 25, 3e-4, True), (5, 25, 2.4e-4, True),
+# edges across the nozzle, coarse graining, step [s], whether smoothed; the first, with the finest mesh, is the reference
+SETTINGS = ((4, 25, 7.5e-5, True), (4, 25, 1.5e-4, True), (4, 25, 3e-4, True),
+            (3, 25, 1e-4, True), (3, 25, 2e-4, True), (3, 25, 4e-4, True), (2, 25, 1.5e-4, True), (2, 25, 3e-4, True),
             (3, 5, 1e-4, True), (3, 10, 1e-4, True), (3, 40, 1e-4, True), (3, 60, 1e-4, True),
-            (4, 10, 7.5e-5, True), (4, 40, 7.5e-5, True), (4, 60, 7.5e-5, True),
-            (3, 10, 1e-4, False), (3, 25, 1e-4, False), (3, 40, 1e-4, False), (3, 60, 1e-4, False),
-            (4, 10, 7.5e-5, False), (4, 25, 7.5e-5, False), (4, 40, 7.5e-5, False), (4, 60, 7.5e-5, False))
+            (3, 25, 1e-4, False), (3, 40, 1e-4, False), (3, 60, 1e-4, False))
 PLACES = [f"at_{1e3 * way:g}_mm" for way in jet.STATIONS]
 WITHIN = 0.03  # of the reference: what counts as its answer
 
@@ -117,7 +113,8 @@ def picture(folder, rows):
         left.plot([], [], "s", color=colour, label=f"coarse graining {ratio:g}")
     left.plot([], [], "o", color="0.4", mfc="none", label="not smoothed")
     left.axhline(100 * WITHIN, color="0.6", lw=0.8)
-    left.set(xscale="log", yscale="log", xlabel="processor time [s]", ylabel="deviation of the penetration [%]",
+    left.set(xscale="log", yscale="log", ylim=(0.5, 100), xlabel="processor time [s]",
+             ylabel="deviation of the penetration [%]",
              title="from the finest run, root mean square of three stations")
     left.legend(fontsize=7)
     for place, colour in zip(PLACES, ("C0", "C1", "C2")):
@@ -132,6 +129,8 @@ def picture(folder, rows):
                                    ls="-" if smoothed else ":", mfc=colour if smoothed else "none",
                                    label=f"{place.replace('_', ' ')}, {cells:g} edges{'' if smoothed else ', not smoothed'}")
     right.set(xscale="log", xlabel="parcel over particle diameter", ylabel="mean height over Stokes' drag", ylim=(1, None))
+    right.set_xticks(list(colours), [f"{ratio:g}" for ratio in colours])
+    right.minorticks_off()
     right.legend(fontsize=6, ncols=2)
     figure.savefig(folder / "report.png", dpi=110)
     plt.close(figure)
