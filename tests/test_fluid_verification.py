@@ -317,6 +317,25 @@ def test_order_in_time_beside_walls(wall, viscosity):
     assert min(orders_beside_walls(wall, viscosity)) > 1.9
 
 
+def lid_at_once(steps, viscosity=0.1):
+    """Velocities of the cells, 0.4 s after the lid of a box has been set going in no time."""
+    mesh, tags = fe_el.box((1.0, 1.0), (10, 10))
+    air = fe_el.VolumeAveragedNavierStokes(mesh, tags, 1.0, viscosity, tolerance=1e-12)
+    for side in (1, 2, 3):
+        air.set_no_slip(side)
+    air.set_velocity(4, (1.0, 0.0))
+    for _ in range(steps):
+        air.advance(0.4 / steps)
+    return air.velocity.x.array.copy()
+
+
+def test_a_lid_that_is_set_going_at_once():
+    """Against 256 steps: what the start leaves is damped in few steps, and fades from many."""
+    fine = lid_at_once(256)
+    errors = [np.linalg.norm(lid_at_once(n) - fine) / np.linalg.norm(fine) for n in (4, 32)]
+    assert errors[0] < 0.065 and errors[1] < 6e-4
+
+
 @pytest.mark.parametrize("time_order", [1, 2])
 def test_scalar_has_the_order_of_the_fluid(time_order):
     """A wave that drifts and diffuses under a source: steps halved twice on one mesh, differences fall with the order."""
