@@ -71,6 +71,7 @@ def run(bed, end_time, out, each, restarts, every=10, kept=(), after=None, progr
     checkpoints = restarts.checkpoints(beads, contacts, air, coupling, out, ledger, *kept)
     number, first = beads.next_id, 1 + round(checkpoints.time / dt)
     before, tick = fe_el.stage_seconds(contacts, air, coupling, out, ledger)["seconds_per_stage"], time.perf_counter()
+    processor = time.process_time()
     with checkpoints:
         for step, now in enumerate(restarts.steps(checkpoints.time, end_time, progress), first):
             if air is not None:
@@ -87,11 +88,13 @@ def run(bed, end_time, out, each, restarts, every=10, kept=(), after=None, progr
         if restarts.every:
             checkpoints.save()  # of the end, from which a longer run can go on
     wall = time.perf_counter() - tick
+    processor = beads.comm.allreduce(time.process_time() - processor)
     stages = fe_el.stage_seconds(contacts, air, coupling, out, ledger)["seconds_per_stage"]
     stages = {name: round(seconds - before[name], 6) for name, seconds in stages.items()}
     stages["rest"] = round(wall - sum(stages.values()), 6)
     return {"particles": number, "lost_particles": number - beads.total_number, "time_step": dt, "end_time": end_time,
-            "wall_time": wall, "seconds_per_stage": stages, **{"seconds_" + name: t for name, t in stages.items()},
+            "wall_time": wall, "processor_time": processor, "seconds_per_stage": stages,
+            **{"seconds_" + name: t for name, t in stages.items()},
             **ledger.summary(), **beads.imbalance(),
             "contact_steps_per_fluid_step": contacts.steps_last,
             "largest_overlap_over_diameter": float(beads.comm.allreduce(contacts.largest_overlap, op=MPI.MAX))}

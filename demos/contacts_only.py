@@ -13,12 +13,17 @@ import fe_el
 from fe_el.particles.insertion import lattice_positions
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from demos import restarts
+from demos import reports, restarts
 
 matplotlib.use("Agg")
 OUTLET, WALL = 2, 3
 GRAVITY, DENSITY = 9.81, 2500.0
 WIDTH, DEPTH, BIN, CONE = 0.1, 0.015, 0.12, 0.06
+REPORTS = {"discharge": reports.Report(
+    settings=tuple({"stiffness": k, "steps_per_contact": n, "seed": seed} for k, n, seed in (
+        (8000.0, 50, 1), (8000.0, 50, 2), (2000.0, 30, 1), (2000.0, 15, 1), (500.0, 30, 1), (500.0, 15, 1), (100.0, 15, 1))),
+    quantities={"discharge_rate": None}, same={"diameter": 4e-3, "particles": 1200, "settle_time": 0.15, "end_time": 0.5},
+    first={"settle_time": 1e-3, "end_time": 3e-3, "particles": 50})}
 
 
 def arguments():
@@ -31,6 +36,7 @@ def arguments():
     p.add_argument("--friction", type=float, default=0.3, help="friction of beads and walls")
     p.add_argument("--rolling-friction", type=float, default=0.0, help="coefficient of rolling friction; 0: none")
     p.add_argument("--restitution", type=float, default=0.7, help="restitution of beads and walls")
+    p.add_argument("--steps-per-contact", type=int, default=30, help="contact steps in the shortest contact")
     p.add_argument("--settle-time", type=float, default=0.3, help="time with the outlet closed [s]")
     p.add_argument("--end-time", type=float, default=1.0, help="simulated time [s]")
     p.add_argument("--time-step", type=float, default=1e-3, help="time between records [s]; contacts choose their own steps")
@@ -45,7 +51,7 @@ def arguments():
 
 def main(diameter=2.5e-3, particles=6000, slot=0.02, stiffness=2000.0, friction=0.3, rolling_friction=0.0, restitution=0.7,
          settle_time=0.3, end_time=1.0, time_step=1e-3, output_every=0.05, seed=1, output="out/contacts_only",
-         checkpoint_every=None, restart=None, wall_time=None, balance=False, progress=True):
+         checkpoint_every=None, restart=None, wall_time=None, balance=False, steps_per_contact=30, progress=True):
     """Fill the silo, open the outlet, and return the summary."""
     if not 0 < slot < WIDTH:
         raise ValueError(f"--slot is {slot}; give a width between 0 and that of the silo, {WIDTH} m.")
@@ -63,10 +69,10 @@ def main(diameter=2.5e-3, particles=6000, slot=0.02, stiffness=2000.0, friction=
     rolling = fe_el.RollingFriction(rolling_friction) if rolling_friction else None
     law = fe_el.LinearSpringDashpot(stiffness, restitution, friction, rolling=rolling)
     walls = [fe_el.FacetWalls(tags, WALL)]
-    closed = fe_el.Contacts(beads, law, [*walls, fe_el.FacetWalls(tags, OUTLET)], steps_per_contact=30)
-    open_ = fe_el.Contacts(beads, law, walls, steps_per_contact=30)
+    closed = fe_el.Contacts(beads, law, [*walls, fe_el.FacetWalls(tags, OUTLET)], steps_per_contact=steps_per_contact)
+    open_ = fe_el.Contacts(beads, law, walls, steps_per_contact=steps_per_contact)
     out = fe_el.ParaViewOutput(output, beads, every=output_every)
-    start, rows, resting = time.perf_counter(), restarts.Rows(), restarts.Kept()
+    rows, resting, start, processor = restarts.Rows(), restarts.Kept(), time.perf_counter(), time.process_time()
     checkpoints = keep.checkpoints(beads, closed, open_, out, rows, resting)
     total, last = beads.comm.allreduce(beads.mass.sum()) + beads.left_mass, closed
     if checkpoints.time > settle_time:
@@ -83,14 +89,14 @@ def main(diameter=2.5e-3, particles=6000, slot=0.02, stiffness=2000.0, friction=
             rows.append((now, beads.left_mass, beads.kinetic_energy()))
             out.write(now)
             checkpoints.after(now)
-    rows, wall_time = np.array(rows), time.perf_counter() - start
+    rows, wall_time, processor = np.array(rows), time.perf_counter() - start, time.process_time() - processor
     rate = discharge_rate(rows, settle_time)
     bulk = 0.6 * DENSITY
     seconds = {k: closed.seconds[k] + open_.seconds[k] for k in closed.seconds}
     closed.seconds = seconds
     numbers = {
         "particles": particles, "cells": beads.comm.allreduce(beads.cells.owned), "end_time": end_time,
-               "wall_time": wall_time,
+               "wall_time": wall_time, "processor_time": beads.comm.allreduce(processor),
         "contact_step": time_step / max(open_.steps_last or closed.steps_last, 1), "left_particles": beads.left,
         "left_mass": beads.left_mass, "lost_particles": particles - beads.left - beads.total_number,
         "mass_balance": abs(beads.left_mass + beads.comm.allreduce(beads.mass.sum()) - total) / total,
@@ -143,7 +149,4 @@ def picture(output, rows, resting, shown, numbers):
 
 
 if __name__ == "__main__":
-    summary = main(**vars(arguments().parse_args()))
-    if MPI.COMM_WORLD.rank == 0:
-        for key, value in summary.items():
-            print(f"{key:32s} {value}")
+    reports.start(main, arguments(), REPORTS)

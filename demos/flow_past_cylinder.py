@@ -13,7 +13,7 @@ from mpi4py import MPI
 import fe_el
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from demos import restarts
+from demos import reports, restarts
 
 matplotlib.use("Agg")
 INLET, OUTLET, WALLS, CYLINDER = 1, 2, 3, 4
@@ -21,6 +21,18 @@ HEIGHT, DIAMETER, VISCOSITY = 0.41, 0.1, 1e-3
 MESH = Path(__file__).resolve().parent.parent / "meshes" / "cylinder.geo"
 STEADY = {"drag": 5.57953523384, "lift": 0.010618948146, "pressure_difference": 0.11752016697}  # Nabh (1998)
 SHEDDING = {"strouhal": (0.295, 0.305), "largest_drag": (3.22, 3.24), "largest_lift": (0.99, 1.01)}  # Schaefer and Turek
+REPORTS = {
+    "steady": reports.Report(
+        settings=tuple({"around": n, "time_step": dt} for n, dt in (
+            (128, 0.05), (64, 0.05), (64, 0.2), (32, 0.05), (32, 0.2), (32, 0.8), (16, 0.2))),
+        quantities={name: STEADY[name] for name in ("drag", "pressure_difference")},
+        same={"reynolds": 20.0, "end_time": 12.0},
+        first={"end_time": 0.1}),
+    "shedding": reports.Report(
+        settings=tuple({"around": n, "time_step": dt} for n, dt in (
+            (64, 0.005), (64, 0.01), (64, 0.02), (32, 0.005), (32, 0.01), (32, 0.02))),
+        quantities={name: sum(value) / 2 for name, value in SHEDDING.items()},
+        same={"reynolds": 100.0, "size": 0.06, "end_time": 6.0}, first={"end_time": 0.05}, within=0.03)}
 
 
 def arguments():
@@ -78,7 +90,7 @@ def main(reynolds=100.0, around=64, size=0.04, growth=0.1, time_step=0.01, end_t
     probe = fe_el.Probe([air.pressure], [(0.15, 0.2), (0.25, 0.2)])
     out = fe_el.ParaViewOutput(output, None, [air.velocity, air.pressure], output_every)
     keep, rows = restarts.Restarts(output, time_step, checkpoint_every, restart, wall_time), restarts.Rows()
-    checkpoints, start = keep.checkpoints(air, out, rows), time.perf_counter()
+    checkpoints, start, processor = keep.checkpoints(air, out, rows), time.perf_counter(), time.process_time()
     with out, checkpoints:
         for now in keep.steps(checkpoints.time, end_time, progress):
             air.advance(time_step)
@@ -93,7 +105,8 @@ def main(reynolds=100.0, around=64, size=0.04, growth=0.1, time_step=0.01, end_t
         "reynolds": reynolds, "cells": comm.allreduce(air.num_cells), "time_step": time_step, "end_time": end_time,
         "courant": air.courant(time_step), "drag": drag[-1], "lift": lift[-1], "pressure_difference": difference[-1],
         "largest_drag": drag[late].max(), "largest_lift": lift[late].max(), "strouhal": strouhal_number(times, lift, mean),
-        "mass_residual": air.mass_residual(), "wall_time": time.perf_counter() - start, **fe_el.stage_seconds(air, out)}
+        "mass_residual": air.mass_residual(), "wall_time": time.perf_counter() - start,
+        "processor_time": comm.allreduce(time.process_time() - processor), **fe_el.stage_seconds(air, out)}
     if abs(reynolds - 20) < 1e-9:
         numbers |= {f"{name}_error": numbers[name] / value - 1 for name, value in STEADY.items()}
     if abs(reynolds - 100) < 1e-9:
@@ -119,7 +132,4 @@ def picture(output, times, drag, lift, numbers):
 
 
 if __name__ == "__main__":
-    summary = main(**vars(arguments().parse_args()))
-    if MPI.COMM_WORLD.rank == 0:
-        for key, value in summary.items():
-            print(f"{key:32s} {value}")
+    reports.start(main, arguments(), REPORTS)

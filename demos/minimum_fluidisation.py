@@ -23,12 +23,22 @@ from mpi4py import MPI
 import fe_el
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from demos import bed_runs, restarts
+from demos import bed_runs, reports, restarts
 
 matplotlib.use("Agg")
 RADIUS, HEIGHT, GRAVITY = 0.01385, 0.04, 9.81
 DIAMETER, BEAD_DENSITY, GAS_DENSITY, GAS_VISCOSITY = 1e-3, 2000.0, 10.0, 10.0 * 1.5e-4
 INLET, OUTLET, WALL = 1, 2, 3
+REPORTS = {"ramp": reports.Report(
+    settings=({"cell_size": 0.003, "time_step": 5e-4, "steps_per_contact": 20},
+              {"cell_size": 0.003, "time_step": 1e-3, "steps_per_contact": 20},
+              {"cell_size": 0.003, "time_step": 2e-3, "steps_per_contact": 20},
+              {"cell_size": 0.003, "time_step": 1e-3, "steps_per_contact": 12},
+              {"cell_size": 0.005, "time_step": 1e-3, "steps_per_contact": 20},
+              {"cell_size": 0.005, "time_step": 2e-3, "steps_per_contact": 12}),
+    quantities={"pressure_drop_fluidised_over_weight": 1.0, "drop_over_ergun_by_layers_falling": 1.0},
+    same={"number": 2000, "ramp_time": 0.3, "settle_time": 0.1}, first={"ramp_time": 4e-3, "settle_time": 5e-3},
+    within=0.05)}
 
 
 def arguments():
@@ -173,7 +183,4 @@ def picture(output, rows, weight, ramp_time, numbers):
 
 
 if __name__ == "__main__":
-    summary = main(**vars(arguments().parse_args()))
-    if MPI.COMM_WORLD.rank == 0:
-        for key, value in summary.items():
-            print(f"{key:42s} {value}")
+    reports.start(main, arguments(), REPORTS, width=42)

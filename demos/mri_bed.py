@@ -26,7 +26,7 @@ from mpi4py import MPI
 import fe_el
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from demos import bed_runs, restarts
+from demos import bed_runs, reports, restarts
 
 matplotlib.use("Agg")
 WIDTH, DEPTH, HEIGHT, NUMBER, DIAMETER = 0.044, 0.01, 0.12, 9240, 1.2e-3
@@ -34,6 +34,16 @@ BEAD_DENSITY, GAS_DENSITY, GAS_VISCOSITY, GRAVITY = 1000.0, 1.2, 1.2 * 1.8e-5, 9
 HEIGHTS = {"mean_voidage": (16.4, 31.2), "mean_particle_vy_m_s": (15.0, 20.0, 25.0, 35.0)}
 THICKNESS, COLUMNS = 3e-3, 22  # of the boxes in which means are taken [m], and their number across the bed
 MEASURED = Path(__file__).resolve().parent / "mri_bed_measured.csv"
+REPORTS = {"voidage": reports.Report(
+    settings=({"cells": (11, 3, 30), "time_step": 5e-4, "steps_per_contact": 20, "seed": 1},
+              {"cells": (11, 3, 30), "time_step": 5e-4, "steps_per_contact": 20, "seed": 2},
+              {"cells": (11, 3, 30), "time_step": 1e-3, "steps_per_contact": 20, "seed": 1},
+              {"cells": (11, 3, 30), "time_step": 1e-3, "steps_per_contact": 12, "seed": 1},
+              {"cells": (8, 2, 22), "time_step": 1e-3, "steps_per_contact": 12, "seed": 1},
+              {"cells": (8, 2, 22), "time_step": 2e-3, "steps_per_contact": 12, "seed": 1}),
+    quantities={f"beetstra_0.9_deviation_mean_voidage_{h}_mm": 0.0 for h in (16.4, 31.2)},
+    same={"superficial_velocity": (0.9,), "drag": ("beetstra",), "end_time": 0.6, "average_from": 0.2},
+    first={"end_time": 2e-3, "average_from": 0.0}, within=0.06)}
 
 
 def arguments():
@@ -148,7 +158,7 @@ def main(superficial_velocity=(0.9, 0.6), drag=("beetstra", "gidaspow"), end_tim
     results = {(u, law): one_run(u, law, options, progress) for u in superficial_velocity for law in drag}
     summary = {f"{law}_{u:g}_{key}": value for (u, law), (_, numbers) in results.items() for key, value in numbers.items()
                if not isinstance(value, dict)}
-    summary |= {"wall_time": sum(n["wall_time"] for _, n in results.values())}
+    summary |= {name: sum(n[name] for _, n in results.values()) for name in ("wall_time", "processor_time")}
     if MPI.COMM_WORLD.rank == 0:
         picture(output, {key: profiles for key, (profiles, _) in results.items()})
     return fe_el.write_summary(output, MPI.COMM_WORLD, **summary)
@@ -177,7 +187,4 @@ def picture(output, results):
 
 
 if __name__ == "__main__":
-    numbers = main(**vars(arguments().parse_args()))
-    if MPI.COMM_WORLD.rank == 0:
-        for key, value in numbers.items():
-            print(f"{key:60s} {value}")
+    reports.start(main, arguments(), REPORTS, width=60)

@@ -2,7 +2,9 @@
 source."""
 import argparse
 import logging
+import sys
 import time
+from pathlib import Path
 
 from mpi4py import MPI  # isort: skip (the wheels of dolfinx find their MPI through it)
 import numpy as np
@@ -12,7 +14,14 @@ from dolfinx import fem
 import fe_el
 from fe_el.dolfinx_api import linear_problem, taylor_hood_space
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from demos import reports
+
 RHO, MU, INLET_SPEED, SIZE = 1.2, 1.8e-5, 0.3, 0.02
+REPORTS = {"fall": reports.Report(
+    settings=tuple({"cells": n, "time_step": dt} for n, dt in (
+        (12, 1.25e-4), (12, 5e-4), (6, 2.5e-4), (6, 5e-4), (6, 1e-3), (6, 2e-3), (3, 5e-4), (3, 2e-3))),
+    quantities={"mean_velocity": None}, first={"end_time": 4e-3}, within=0.005)}  # most of the velocity is free fall
 
 
 def arguments():
@@ -69,7 +78,7 @@ def main(dimension=2, cells=6, particles=400, end_time=0.02, time_step=5e-4, out
     out = fe_el.ParaViewOutput(output, beads, [void, drag], every=end_time / 10)
     coupling.to_fluid(time_step)
     void_old.x.array[:] = void.x.array
-    worst, seconds, start = 0.0, 0.0, time.perf_counter()
+    worst, seconds, start, processor = 0.0, 0.0, time.perf_counter(), time.process_time()
     for now in fe_el.time_steps(time_step, end_time, progress=progress):
         coupling.to_fluid(time_step)
         tick = time.perf_counter()
@@ -84,11 +93,10 @@ def main(dimension=2, cells=6, particles=400, end_time=0.02, time_step=5e-4, out
                                momentum_imbalance=worst, solid_volume_error=coupling.solid_volume_error,
                                mean_velocity=beads.momentum()[up] / mesh.comm.allreduce(beads.mass.sum()),
                                seconds_fluid=seconds,
-                               wall_time=time.perf_counter() - start, **fe_el.stage_seconds(coupling, out))
+                               wall_time=time.perf_counter() - start,
+                               processor_time=mesh.comm.allreduce(time.process_time() - processor),
+                               **fe_el.stage_seconds(coupling, out))
 
 
 if __name__ == "__main__":
-    summary = main(**vars(arguments().parse_args()))
-    if MPI.COMM_WORLD.rank == 0:
-        for key, value in summary.items():
-            print(f"{key:32s} {value}")
+    reports.start(main, arguments(), REPORTS)

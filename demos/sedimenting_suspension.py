@@ -13,10 +13,20 @@ from mpi4py import MPI
 import fe_el
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from demos import restarts
+from demos import reports, restarts
 
 matplotlib.use("Agg")
 GRAVITY, GAS_DENSITY, GAS_VISCOSITY = 9.81, 1.3, 1.8e-5
+REPORTS = {"slip": reports.Report(
+    settings=({"coupling": "conservative", "dt_star": 0.1, "mapping": "overlap_volume", "coarse_graining": 1.0, "seed": 1},
+              {"coupling": "conservative", "dt_star": 0.1, "mapping": "overlap_volume", "coarse_graining": 1.0, "seed": 2},
+              *({"coupling": scheme, "dt_star": step, "mapping": mapping, "coarse_graining": ratio, "seed": 1}
+                for scheme, step, mapping, ratio in (
+                    ("explicit", 0.1, "overlap_volume", 1.0), ("split", 1.0, "overlap_volume", 1.0),
+                    ("conservative", 1.0, "overlap_volume", 1.0), ("conservative", 4.0, "overlap_volume", 1.0),
+                    ("conservative", 1.0, "hat", 1.0), ("conservative", 1.0, "overlap_volume", 2.0)))),
+    quantities={"slip_velocity": None}, same={"box": (32.0,) * 3, "cells": (4,) * 3, "end_time": 0.06},
+    first={"end_time": 1e-3}, within=0.05)}
 
 
 def arguments():
@@ -188,11 +198,12 @@ def main(diameter=150e-6, particle_density=1500.0, solid_fraction=0.1, box=(48.0
     if not keep.going_on():
         scene.coupling.to_fluid(dt)  # the void fraction that the first momentum is taken with
         scene.first = scene.momentum()
-    checkpoints, start = keep.checkpoints(*scene.parts(), out, rows), time.perf_counter()
+    checkpoints, start, processor = keep.checkpoints(*scene.parts(), out, rows), time.perf_counter(), time.process_time()
     with checkpoints:
         stable, reason = loop(scene, keep.steps(checkpoints.time, max(end_time, dt), progress), dt, rows,
                               correct_momentum, (out.write, checkpoints.after))
-    wall_time, rows = time.perf_counter() - start, np.array(rows).reshape(-1, 7)
+    wall_time, processor = time.perf_counter() - start, comm.allreduce(time.process_time() - processor)
+    rows = np.array(rows).reshape(-1, 7)
     if not stable and comm.rank == 0:
         print(f"Unstable after {len(rows)} steps: {reason}")
     late = rows[rows[:, 0] > 0.5 * rows[-1, 0], 1] if len(rows) else np.array([np.nan])
@@ -216,6 +227,7 @@ def main(diameter=150e-6, particle_density=1500.0, solid_fraction=0.1, box=(48.0
         "solid_volume_error": rows[:, 4].max(initial=0.0), "mass_residual": rows[:, 5].max(initial=0.0),
         "over_filled_cells": scene.coupling.over_filled_total, "courant": scene.air.courant(dt),
         "lost_particles": scene.count - beads.total_number, "wall_time": wall_time,
+        "processor_time": processor,
         **fe_el.stage_seconds(scene.contacts, scene.air, scene.coupling, out)}
     if scene.contacts:
         numbers["contact_steps_per_fluid_step"] = scene.contacts.steps_last
@@ -238,7 +250,4 @@ def picture(output, rows, numbers):
 
 
 if __name__ == "__main__":
-    summary = main(**vars(arguments().parse_args()))
-    if MPI.COMM_WORLD.rank == 0:
-        for key, value in summary.items():
-            print(f"{key:32s} {value}")
+    reports.start(main, arguments(), REPORTS)

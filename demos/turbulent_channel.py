@@ -8,6 +8,7 @@ Dean (J. Fluids Eng. 100, 1978, 215): friction coefficient 0.073 Re^(-1/4), Re o
 """
 import argparse
 import logging
+import sys
 import time
 from pathlib import Path
 
@@ -17,9 +18,18 @@ from mpi4py import MPI
 
 import fe_el
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from demos import reports
+
 matplotlib.use("Agg")
 CLOSURES = {"none": lambda: None, "smagorinsky": fe_el.Smagorinsky, "vreman": fe_el.Vreman, "wale": fe_el.Wale}
 LENGTH, WIDTH, WALLS = 6.0, 3.0, (3, 4)
+REPORTS = {"friction": reports.Report(
+    settings=tuple({"across": n, "closure": closure, "wall_law": law, "courant": c} for n, closure, law, c in (
+        (8, "wale", True, 2.0), (6, "wale", True, 1.0), (4, "wale", True, 0.5), (4, "wale", True, 1.0),
+        (4, "wale", True, 2.0), (4, "none", True, 1.0), (4, "vreman", True, 1.0), (4, "wale", False, 1.0))),
+    quantities={"friction_coefficient": "friction_coefficient_dean"}, same={"end_time": 16.0}, first={"end_time": 1.0},
+    within=0.05)}
 
 
 def arguments():
@@ -80,7 +90,7 @@ def main(across=8, friction_reynolds=2000.0, closure="wale", wall_law=True, cour
     """Run the channel and return the summary."""
     logging.getLogger().setLevel(logging.WARNING)
     flow = channel(across, friction_reynolds, closure, wall_law, seed)
-    comm, start = flow.comm, time.perf_counter()
+    comm, start, processor = flow.comm, time.perf_counter(), time.process_time()
     dt = courant * 2 / across / 20
     out = fe_el.ParaViewOutput(output, None, [flow.velocity, flow.pressure], every=end_time / 8)
     times, profiles = [], []
@@ -102,7 +112,8 @@ def main(across=8, friction_reynolds=2000.0, closure="wale", wall_law=True, cour
         "end_time": end_time, "mean_velocity": velocity, "mean_velocity_standard_error": np.std(blocks, ddof=1) / 2,
         "friction_coefficient": 2 / velocity ** 2, "friction_coefficient_dean": expected,
         "deviation_from_dean": 2 / velocity ** 2 / expected - 1, "last_wall_stress": abs(force),
-        "mass_residual": flow.mass_residual(), "wall_time": time.perf_counter() - start, **fe_el.stage_seconds(flow, out)}
+        "mass_residual": flow.mass_residual(), "wall_time": time.perf_counter() - start,
+        "processor_time": comm.allreduce(time.process_time() - processor), **fe_el.stage_seconds(flow, out)}
     if comm.rank == 0:
         picture(output, times, means, profiles[late].mean(0), friction_reynolds, expected)
     return fe_el.write_summary(output, comm, **numbers)
@@ -128,7 +139,4 @@ def picture(output, times, means, layers, reynolds, expected):
 
 
 if __name__ == "__main__":
-    summary = main(**vars(arguments().parse_args()))
-    if MPI.COMM_WORLD.rank == 0:
-        for key, value in summary.items():
-            print(f"{key:32s} {value}")
+    reports.start(main, arguments(), REPORTS)
