@@ -1,6 +1,5 @@
 """Error against wall time of the fluidised bed: over fluid step, contact steps and cell size (``fluidised_bed.py
 --report``)."""
-import csv
 import sys
 from pathlib import Path
 
@@ -10,7 +9,7 @@ from mpi4py import MPI
 import fe_el
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from demos import fluidised_bed
+from demos import fluidised_bed, reports
 
 SETTINGS = ((1e-4, 50, 0.0075), (1e-4, 20, 0.0075), (2e-4, 20, 0.0075), (5e-4, 20, 0.0075), (1e-3, 50, 0.0075),
             (1e-3, 20, 0.0075),
@@ -42,7 +41,7 @@ def main(options, settings=SETTINGS, realisations=3):
             rows[-1] |= {name: values.mean(), name + "_error": values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1
                          else 0.0}
         if MPI.COMM_WORLD.rank == 0:
-            write(folder, rows)
+            reports.write(folder, rows)
     if MPI.COMM_WORLD.rank == 0:
         picture(folder, rows)
     best = recommended(rows)
@@ -66,14 +65,6 @@ def recommended(rows):
     """The cheapest setting whose quantities all lie within two standard errors, or 3 %, of those of the reference."""
     good = [r for r in rows if all(abs(d) < max(2 * e, 0.03) for d, e in deviations(r, rows[0]).values())]
     return min(good, key=lambda r: r["seconds"])
-
-
-def write(folder, rows):
-    """CSV of all settings so far."""
-    with open(folder / "report.csv", "w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
 
 
 def picture(folder, rows):

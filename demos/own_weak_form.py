@@ -6,7 +6,7 @@ import sys
 import time
 from pathlib import Path
 
-from mpi4py import MPI  # isort: skip (the wheels of dolfinx find their MPI through it)
+from mpi4py import MPI  # noqa: F401, isort: skip (the wheels of dolfinx find their MPI through it)
 import numpy as np
 import ufl
 from dolfinx import fem

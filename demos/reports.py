@@ -97,12 +97,13 @@ def in_words(rows, report, varied):
     good = [k for k in tried if rows[k]["error"] <= allowed]
     best = min(good, key=lambda k: rows[k]["processor_s"]) if good else min(tried, key=lambda k: rows[k]["error"])
     names, row = ", ".join(n.replace("_", " ") for n in varied), rows[best]
-    own = [n for n, right in report.quantities.items() if right is None]
+    own = None in report.quantities.values()
     against = f"the reference run ({label(rows[report.reference], varied)})" if own else "the published values"
     verdict = "the cheapest" if good else "the nearest, but not"
-    return (f"Choose {label(row, varied)} ({names}): {verdict} within {100 * allowed:.2g} % of {against}"
-            f"{f' (another seed alone: {100 * spread:.2g} %)' if spread else ''}; error {100 * row['error']:.2g} %, processor "
-            f"time {row['processor_s']:.3g} s, of the reference setting {rows[report.reference]['processor_s']:.3g} s."), best
+    other_seed = f" (another seed alone: {100 * spread:.2g} %)" if spread else ""
+    return (f"Choose {label(row, varied)} ({names}): {verdict} within {100 * allowed:.2g} % of {against}{other_seed}; error "
+            f"{100 * row['error']:.2g} %, processor time {row['processor_s']:.3g} s, of the reference setting "
+            f"{rows[report.reference]['processor_s']:.3g} s."), best
 
 
 def write(folder, rows):

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
-from mpi4py import MPI
 
 import fe_el
 
