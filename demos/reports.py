@@ -67,7 +67,7 @@ def row_of(main, options, numbers, report, varied, reference):
     errors = []
     for name, right in report.quantities.items():
         right = reference[name] if right is None else numbers[right] if isinstance(right, str) else right
-        value = numbers[name]
+        value = numbers.get(name, np.nan)  # of a run that was too short or broke off
         errors.append(float(np.nan_to_num(abs(value - right) / (abs(right) or 1.0), nan=np.inf)))
         row |= {name: value, f"{name}_reference": right, f"{name}_error": errors[-1]}
     error = max(errors) if numbers.get("stable", True) else np.inf
@@ -102,8 +102,8 @@ def in_words(rows, report, varied):
     verdict = "the cheapest" if good else "the nearest, but not"
     other_seed = f" (another seed alone: {100 * spread:.2g} %)" if spread else ""
     return (f"Choose {label(row, varied)} ({names}): {verdict} within {100 * allowed:.2g} % of {against}{other_seed}; error "
-            f"{100 * row['error']:.2g} %, processor time {row['processor_s']:.3g} s, of the reference setting "
-            f"{rows[report.reference]['processor_s']:.3g} s."), best
+            f"{100 * row['error']:.2g} %, processor time {row['processor_s']:.3g} s where the first setting took "
+            f"{rows[0]['processor_s']:.3g} s."), best
 
 
 def write(folder, rows):
