@@ -29,7 +29,7 @@ REPORTS = {
         first={"end_time": 0.1}),
     "shedding": reports.Report(
         settings=tuple({"around": n, "time_step": dt} for n, dt in (
-            (64, 0.005), (64, 0.01), (64, 0.02), (32, 0.005), (32, 0.01), (32, 0.02))),
+            (128, 0.0025), (128, 0.005), (64, 0.0025), (64, 0.005), (64, 0.01), (32, 0.005), (32, 0.01), (32, 0.02))),
         quantities={name: sum(value) / 2 for name, value in SHEDDING.items()},
         same={"reynolds": 100.0, "size": 0.06, "end_time": 6.0}, first={"end_time": 0.05}, within=0.03)}
 

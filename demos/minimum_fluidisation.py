@@ -29,14 +29,10 @@ RADIUS, HEIGHT, GRAVITY = 0.01385, 0.04, 9.81
 DIAMETER, BEAD_DENSITY, GAS_DENSITY, GAS_VISCOSITY = 1e-3, 2000.0, 10.0, 10.0 * 1.5e-4
 INLET, OUTLET, WALL = 1, 2, 3
 REPORTS = {"ramp": reports.Report(
-    settings=({"cell_size": 0.003, "time_step": 5e-4, "steps_per_contact": 20},
-              {"cell_size": 0.003, "time_step": 1e-3, "steps_per_contact": 20},
-              {"cell_size": 0.003, "time_step": 2e-3, "steps_per_contact": 20},
-              {"cell_size": 0.003, "time_step": 1e-3, "steps_per_contact": 12},
-              {"cell_size": 0.005, "time_step": 1e-3, "steps_per_contact": 20},
-              {"cell_size": 0.005, "time_step": 2e-3, "steps_per_contact": 12}),
-    quantities={"pressure_drop_fluidised_over_weight": 1.0, "drop_over_ergun_by_layers_falling": 1.0},
-    same={"number": 2000, "ramp_time": 0.3, "settle_time": 0.1}, first={"ramp_time": 4e-3, "settle_time": 5e-3},
+    settings=tuple({"cell_size": size, "time_step": dt, "steps_per_contact": n} for size, dt, n in (
+        (0.003, 1e-3, 20), (0.003, 2e-3, 20), (0.003, 2e-3, 12), (0.004, 2e-3, 12), (0.005, 2e-3, 12))),
+    quantities={"pressure_drop_fluidised_over_weight": 1.0, "drop_over_ergun_falling": 1.0},
+    same={"number": 6000, "ramp_time": 0.25, "settle_time": 0.1}, first={"ramp_time": 4e-3, "settle_time": 5e-3},
     within=0.05)}
 
 
