@@ -131,7 +131,8 @@ def picture(folder, rows, report, varied, words):
     axis.axhline(max(report.within, chance(rows, report)[1]), color="0.6", lw=0.8, label="near enough")
     if rows[report.reference]["error"] == 0:
         axis.axvline(rows[report.reference]["processor_s"], color="0.6", lw=0.8, ls=":", label="the reference run")
-    axis.set(xscale="log", yscale="log", xlabel="processor time of a run [s]", ylabel="error")
+    scale = "log" if finite else "linear"  # nothing to show: all runs broke off, or are the reference
+    axis.set(xscale=scale, yscale=scale, xlabel="processor time of a run [s]", ylabel="error")
     names = ", ".join(n.replace("_", " ") for n in varied)
     axis.set_title(f"labels: {names}\n{textwrap.fill(words, 110)}", fontsize=7)
     axis.margins(x=0.15)
