@@ -66,8 +66,8 @@ def row_of(main, options, numbers, report, varied, reference):
     row = {name: "x".join(map(str, value)) if isinstance(value, (tuple, list)) else value for name, value in row.items()}
     errors = []
     for name, right in report.quantities.items():
-        right = reference[name] if right is None else numbers[right] if isinstance(right, str) else right
-        value = numbers.get(name, np.nan)  # of a run that was too short or broke off
+        right = reference.get(name, np.nan) if right is None else numbers[right] if isinstance(right, str) else right
+        value = numbers.get(name, np.nan)  # a run that was too short or broke off has none
         errors.append(float(np.nan_to_num(abs(value - right) / (abs(right) or 1.0), nan=np.inf)))
         row |= {name: value, f"{name}_reference": right, f"{name}_error": errors[-1]}
     error = max(errors) if numbers.get("stable", True) else np.inf
