@@ -30,7 +30,8 @@ DIAMETER, BEAD_DENSITY, GAS_DENSITY, GAS_VISCOSITY = 1e-3, 2000.0, 10.0, 10.0 * 
 INLET, OUTLET, WALL = 1, 2, 3
 REPORTS = {"ramp": reports.Report(
     settings=tuple({"cell_size": size, "time_step": dt, "steps_per_contact": n} for size, dt, n in (
-        (0.003, 1e-3, 20), (0.003, 2e-3, 20), (0.003, 2e-3, 12), (0.004, 2e-3, 12), (0.005, 2e-3, 12))),
+        (0.003, 5e-4, 20), (0.003, 1e-3, 20), (0.003, 1e-3, 12), (0.003, 2e-3, 12), (0.004, 1e-3, 12), (0.004, 2e-3, 12),
+        (0.005, 2e-3, 12))),
     quantities={"pressure_drop_fluidised_over_weight": 1.0, "drop_over_ergun_rising": None},
     same={"number": 6000, "ramp_time": 0.25, "settle_time": 0.1}, first={"ramp_time": 4e-3, "settle_time": 5e-3},
     within=0.05)}
