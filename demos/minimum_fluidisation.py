@@ -121,8 +121,7 @@ def main(largest_velocity=0.024, ramp_time=1.5, settle_time=0.25, number=10_000,
     air.set_velocity(INLET, lambda time, x: (0.0, 0.0, speed(time)))
     air.set_pressure(OUTLET, 0.0)
     air.set_no_slip(WALL)
-    coupling = fe_el.Coupling(beads, air.velocity, air.pressure, GAS_DENSITY, GAS_VISCOSITY,
-                              [fe_el.Drag(drag), fe_el.PressureGradient()])
+    coupling = fe_el.Coupling.of(air, beads, [fe_el.Drag(drag), fe_el.PressureGradient()])
     bed, rows = bed_runs.Bed(beads, contacts, air, coupling), restarts.Rows()
     area = mesh.comm.allreduce(beads.cells.volume[:beads.cells.owned].sum()) / HEIGHT
 

@@ -84,17 +84,17 @@ def test_momentum_is_exact_with_contacts(smoothing):
 
 
 def test_whether_it_is_there():
-    """For particles less than a hundred times as dense as the fluid, where fluid and scheme take it; else by name."""
+    """For particles less than a thousand times as dense as the fluid, where fluid and scheme take it; else by name."""
     mesh, _ = fe_el.periodic_box((8e-3,) * 3, (4, 4, 4))
     water = fe_el.VolumeAveragedNavierStokes(mesh, None, RHO, MU)
     forces = [fe_el.Drag("beetstra"), fe_el.PressureGradient()]
 
     def fields(density, forces=forces, fluid=water, **settings):
         return len(fe_el.Coupling.of(fluid, fe_el.Particles(mesh, density), forces, **settings).fields)
-    assert fields(50 * RHO) == 4 and fields(150 * RHO) == 3
+    assert fields(500 * RHO) == 4 and fields(1500 * RHO) == 3
     assert fields(50 * RHO, forces[:1]) == 3 and fields(50 * RHO, [forces[0], fe_el.PressureGradient(at_end=False)]) == 3
     assert fields(50 * RHO, scheme="explicit") == 3 and fields(50 * RHO, fluid=fe_el.SubCycled(water, steps=2)) == 3
-    assert fields(150 * RHO, [fe_el.PressureGradient(at_end=True)]) == 4
+    assert fields(1500 * RHO, [fe_el.PressureGradient(at_end=True)]) == 4
     for settings, words in (({"scheme": "explicit"}, "needs scheme='conservative'"),
                             ({"fluid": fe_el.SubCycled(water, steps=2)}, "do not go together")):
         with pytest.raises(ValueError, match="pressure force of the end of the step.* " + words):

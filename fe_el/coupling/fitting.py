@@ -6,7 +6,7 @@ from fe_el.coupling.added_mass import AddedMass
 from fe_el.coupling.forces import Buoyancy, Drag, PressureGradient, ViscousStress
 from fe_el.coupling.light_particles import lightest_of
 
-LIGHT = 0.01  # density of a fluid over that of particles, from which on they take its pressure of the end of the step
+LIGHT = 0.001  # density of a fluid over that of particles, from which on they take its pressure of the end of the step
 LARGEST = 1000.0  # relaxation times in a step, beyond which it tells little of what happens in it
 
 

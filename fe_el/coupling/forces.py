@@ -79,7 +79,7 @@ class PressureGradient:
         at_end (bool): whether the pressure is that of the end of the step, for fluids that take a share of the pressure
             gradient as a fourth field, or that of the step before. Absent: of the end where ``Coupling.of`` knows such a
             fluid, and the particles that are there by then, or the density given to :class:`Particles`, are less than a
-            hundred times as dense as it: there the pressure of the step before lets dense suspensions gain energy.
+            thousand times as dense as it: there the pressure of the step before lets dense suspensions gain energy.
     """
 
     def __init__(self, mean: ArrayLike = (0.0, 0.0, 0.0), at_end: bool | None = None) -> None:
