@@ -1,6 +1,5 @@
 """Messages of a step that are counted on several ranks, and the model that is made of them."""
 import csv
-import shutil
 
 import numpy as np
 import pytest
@@ -9,7 +8,7 @@ from demos.benchmarks import communication
 from demos.benchmarks.communication import KINDS, STAGES, seconds
 
 
-@pytest.mark.skipif(shutil.which("mpicc") is None or shutil.which("mpirun") is None, reason="needs mpicc and mpirun")
+@pytest.mark.skipif(communication.compiler() is None, reason="needs mpicc and mpirun of one MPI")
 def test_every_stage_is_counted(folder):
     """Of two ranks each has one neighbour: a message to an exchange, and what one sends the other sends, too."""
     summary = communication.main((2,), 1, folder, progress=False)
@@ -22,6 +21,12 @@ def test_every_stage_is_counted(folder):
     assert rows["fluid", "reductions"][0] > 20 and rows["contacts and moves", "halo"][0] >= summary["sub_steps"] > 5
     assert all(rows[stage, kind][1] == 0 for stage in STAGES for kind in KINDS[3:])  # no messages of their own
     assert summary["cells_per_rank"] == 6 * 4 ** 3 and summary["particles_per_rank"] > 2000
+
+
+def test_a_compiler_of_another_mpi_is_refused(folder, monkeypatch):
+    monkeypatch.setattr(communication.shutil, "which", {"mpirun": "/one/mpirun", "mpicc": "/other/mpicc"}.get)
+    with pytest.raises(RuntimeError, match="mpicc is /other/mpicc, mpirun is /one/mpirun"):
+        communication.main((2,), 1, folder, progress=False)
 
 
 def test_the_model_grows_as_it_should():

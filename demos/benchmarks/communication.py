@@ -10,6 +10,7 @@ import csv
 import ctypes
 import json
 import logging
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -56,6 +57,12 @@ def scene(ranks):
     coupling = fe_el.Coupling.of(gas, beads, [fe_el.Drag("beetstra"), fe_el.PressureGradient()])
     return contacts, beads, (lambda: coupling.to_fluid(DT), lambda: gas.advance(DT, coupling.fields),
                              lambda: coupling.to_particles(DT), lambda: beads.advance(DT, contacts))
+
+
+def compiler():
+    """mpicc of the MPI whose mpirun starts runs, or ``None``: that of another MPI would count what is not there."""
+    here = [shutil.which(name) for name in ("mpirun", "mpicc")]
+    return here[1] if all(here) and len({Path(name).parent for name in here}) == 1 else None
 
 
 def count(library, steps):
@@ -119,7 +126,10 @@ def main(ranks=(2, 4, 8, 16), steps=20, output="out/communication", count=None, 
     folder, runs = Path(output).resolve(), []
     folder.mkdir(parents=True, exist_ok=True)
     library, source = folder / "count_messages.so", Path(__file__).with_name("count_messages.c")
-    subprocess.run(["mpicc", "-shared", "-fPIC", "-O2", "-o", library, source], check=True)
+    if compiler() is None:
+        raise RuntimeError(f"mpicc is {shutil.which('mpicc')}, mpirun is {shutil.which('mpirun')}; both of one MPI are "
+                           "needed, beside each other (Debian: libopenmpi-dev).")
+    subprocess.run([compiler(), "-shared", "-fPIC", "-O2", "-o", library, source], check=True)
     for n in ranks:
         runs.append({"ranks": n, **started(n, steps, library)})
         if progress:
