@@ -60,9 +60,18 @@ def scene(ranks):
 
 
 def compiler():
-    """mpicc of the MPI whose mpirun starts runs, or ``None``: that of another MPI would count what is not there."""
+    """mpicc of the MPI whose mpirun starts runs.
+
+    Raises:
+        RuntimeError: where there is none, or MPI is one that this cannot count.
+    """
     here = [shutil.which(name) for name in ("mpirun", "mpicc")]
-    return here[1] if all(here) and len({Path(name).parent for name in here}) == 1 else None
+    if not all(here) or Path(here[0]).parent != Path(here[1]).parent:
+        raise RuntimeError(f"mpirun is {here[0]}, mpicc is {here[1]}; both of one MPI are needed, beside each other (Debian: "
+                           "libopenmpi-dev).")
+    if MPI.Get_version()[0] > 3:  # mpi4py then calls functions with large counts, which are not wrapped
+        raise RuntimeError(f"This MPI has version {MPI.Get_version()}; messages are counted up to version 3 (Debian's OpenMPI).")
+    return here[1]
 
 
 def count(library, steps):
@@ -126,9 +135,6 @@ def main(ranks=(2, 4, 8, 16), steps=20, output="out/communication", count=None, 
     folder, runs = Path(output).resolve(), []
     folder.mkdir(parents=True, exist_ok=True)
     library, source = folder / "count_messages.so", Path(__file__).with_name("count_messages.c")
-    if compiler() is None:
-        raise RuntimeError(f"mpicc is {shutil.which('mpicc')}, mpirun is {shutil.which('mpirun')}; both of one MPI are "
-                           "needed, beside each other (Debian: libopenmpi-dev).")
     subprocess.run([compiler(), "-shared", "-fPIC", "-O2", "-o", library, source], check=True)
     for n in ranks:
         runs.append({"ranks": n, **started(n, steps, library)})
