@@ -67,10 +67,11 @@ def compiler():
     """
     here = [shutil.which(name) for name in ("mpirun", "mpicc")]
     if not all(here) or Path(here[0]).parent != Path(here[1]).parent:
-        raise RuntimeError(f"mpirun is {here[0]}, mpicc is {here[1]}; both of one MPI are needed, beside each other (Debian: "
-                           "libopenmpi-dev).")
+        raise RuntimeError(f"mpirun is {here[0]}, mpicc is {here[1]}; both of one MPI are needed, beside each other "
+                           "(Debian: libopenmpi-dev).")
     if MPI.Get_version()[0] > 3:  # mpi4py then calls functions with large counts, which are not wrapped
-        raise RuntimeError(f"This MPI has version {MPI.Get_version()}; messages are counted up to version 3 (Debian's OpenMPI).")
+        raise RuntimeError(f"This MPI has version {MPI.Get_version()}; messages are counted up to version 3 (Debian's "
+                           "OpenMPI).")
     return here[1]
 
 
