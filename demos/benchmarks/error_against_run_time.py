@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from demos.sedimenting_suspension import Suspension
 
 matplotlib.use("Agg")
-SUB_CYCLED = {"sub_cycled": ("conservative", 4, "middle")}  # scheme, steps of the fluid in one, positions that are mapped
+SUB_CYCLED = {"sub_cycled": ("conservative", 4)}  # scheme, steps of the fluid in one
 LEAST_STEPS = 40  # to call a step stable; those beyond the end time are not timed and not in the error
 
 
@@ -41,9 +41,9 @@ def arguments():
 
 def suspension(scheme, box, cells, seed, drag="beetstra", smoothing_length=None, coarse_graining=1.0):
     """A suspension of 150 um particles for a scheme or sub_cycled; box and cells have three values."""
-    scheme, fluid_steps, positions = SUB_CYCLED.get(scheme, (scheme, 1, "start"))
-    return Suspension(150e-6, 1500.0, 0.1, box, cells, scheme, drag, "satellite_points", "cell",
-                      smoothing_length, coarse_graining, False, seed, fluid_steps, positions)
+    scheme, fluid_steps = SUB_CYCLED.get(scheme, (scheme, 1))
+    return Suspension(150e-6, 1500.0, 0.1, box, cells, scheme, drag, "overlap_volume", "cell",
+                      smoothing_length, coarse_graining, False, seed, fluid_steps)
 
 
 def slip_history(scene, dt_star, end_time):
