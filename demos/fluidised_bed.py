@@ -137,7 +137,7 @@ class Record:
         held_back, standing = (wall.force[2] for wall in contacts.walls)  # by rubbing on the walls, and on the distributor
         gas = air.boundary_force(WALL)[1][2] if air else 0.0
         self.rows.append((now, drop, mean_height(beads, True), mean_height(beads, False), beads.kinetic_energy(),
-                          held_back + gas, -standing))
+                          held_back + gas, -standing, beads.momentum()[2]))
 
     def snapshot(self, now, step):
         """Keep the beads at four instants."""
@@ -186,11 +186,13 @@ def finish(output, record, bed, numbers, weight, area):
                 "pressure_drop": drop.mean(), "pressure_drop_error": bed_runs.standard_error(drop),
                 "pressure_drop_fluctuation": drop.std()}
     if bed.air:
-        gas_weight = GAS_DENSITY * GRAVITY * (HEIGHT - weight / (BEAD_DENSITY * GRAVITY))
+        displaced = weight * GAS_DENSITY / BEAD_DENSITY  # the pressure drop is without the weight of a column of gas
         rubbing, standing = late[:, 5:7].mean(0) / area
+        rising = (late[-1, 7] - late[0, 7]) / max(late[-1, 0] - late[0, 0], 1e-9) / area  # 1e-9: a single row
         numbers |= {"pressure_drop_over_weight": drop.mean() / weight, "wall_friction_per_area": rubbing,
                     "carried_by_distributor_per_area": standing,
-                    "pressure_drop_expected": weight + gas_weight + rubbing - standing,
+                    "momentum_gained_per_area": rising,
+                    "pressure_drop_expected": weight - displaced + rubbing - standing + rising,
                     "drag_law_pressure_drop": drag_law_drop(bed.beads, bed.coupling.drag, numbers["superficial_velocity"],
                                                             area),
                     "drag_by_cells_pressure_drop": drop_by_cells(bed, area)}

@@ -61,6 +61,14 @@ def test_fluidised_bed(tmp_path_factory):
     assert abs(summary["bed_weight_per_area"] - 2154) < 3
 
 
+def test_pressure_drop_of_a_falling_bed_is_what_the_balance_of_its_momentum_says(folder):
+    """It falls from a loose lattice, so the drop is a third of its weight."""
+    summary = fluidised_bed.main(1.8, 0.06, slice=0.05, record_every=1, output=folder, progress=False)
+    weight = summary["bed_weight_per_area"]
+    assert summary["momentum_gained_per_area"] < -0.5 * weight
+    assert abs(summary["pressure_drop"] - summary["pressure_drop_expected"]) < 0.006 * weight
+
+
 def test_fluidised_bed_goes_on_from_a_checkpoint(folder):
     """The second half from the file of the first is the second half of the whole."""
     common = {"slice": 0.1, "progress": False}
