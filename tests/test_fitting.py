@@ -76,3 +76,19 @@ def test_one_warning_of_a_step_far_beyond_sense(scheme, dt, words):
         warnings.simplefilter("error")
         for _ in range(3):
             coupling.to_fluid(dt)
+
+
+@pytest.mark.parametrize("dt, sub_cycled, warned", [(2e-3, False, False), (4e-2, False, True), (4e-2, True, False)])
+def test_one_warning_of_a_fluid_that_answers_in_one_fast_step(dt, sub_cycled, warned):
+    """By its Courant number among the particles, from the second step on; none where the fluid makes smaller steps."""
+    air, beads = parts(mean_pressure_gradient=(0.0, 0.0, 40.0))
+    air.set_initial_velocity((0.0, 0.0, 1.0))
+    fluid = fe_el.SubCycled(air) if sub_cycled else air
+    coupling = fe_el.Coupling.of(fluid, beads, [fe_el.Drag("stokes"), fe_el.PressureGradient()])
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", RuntimeWarning)
+        for _ in range(3):
+            coupling.to_fluid(dt)
+            fluid.advance(dt, coupling.fields)
+            coupling.to_particles(dt)
+    assert [str(m.message).count("Courant number") for m in said if m.category is RuntimeWarning] == [1] * warned

@@ -15,10 +15,10 @@ from fe_el.mesh.cell_mesh import owned_corners
 D, RHO_P, MU = 150e-6, 1500.0, 1.8e-5
 
 
-def suspension(fluid_steps=4, smoothing_length=None, contacts=False, solid=0.1, box=(24, 24, 24), cells=(4, 4, 4)):
+def suspension(fluid_steps=4, smoothing_length=None, contacts=False, solid=0.1, box=(24, 24, 24), cells=(4, 4, 4), **kwargs):
     return Suspension(D, RHO_P, solid, box, cells, "conservative", "beetstra", "satellite_points", "cell", smoothing_length,
                       1.0,
-                      contacts, 1, fluid_steps, "middle")
+                      contacts, 1, fluid_steps, "middle", **kwargs)
 
 
 def relaxation_time(scene):
@@ -41,6 +41,53 @@ def test_momentum_is_kept(dt_star, kwargs):
         assert scene.air.mass_residual() < 1e-6
     assert np.abs(scene.momentum() - before).max() / (scene.weight * steps * dt) < 1e-10
     assert scene.beads.total_number == scene.count
+
+
+@pytest.mark.ranks
+def test_momentum_is_kept_although_the_number_changes():
+    """By its Courant number the fluid makes more and more steps, as many on every rank."""
+    scene = suspension(None, tolerance=1e-13)
+    dt, numbers = 6 * relaxation_time(scene), []
+    scene.coupling.to_fluid(dt)
+    before = scene.momentum()
+    for _ in range(12):
+        expected = min(max(np.ceil(scene.air.courant(dt)), 1), scene.fluid.most)
+        scene.advance(dt)
+        numbers.append(scene.fluid.steps_last)
+        assert numbers[-1] == expected == scene.air.comm.allreduce(numbers[-1]) / scene.air.comm.size
+        assert scene.coupling.momentum_imbalance < 1e-13
+    assert len(set(numbers)) > 2
+    assert np.abs(scene.momentum() - before).max() / (scene.weight * 12 * dt) < 1e-14
+    counted = scene.fluid.steps_largest, scene.fluid.steps_total, scene.fluid.advances
+    assert counted == (max(numbers), sum(numbers), 12) and scene.air.step == sum(numbers)
+
+
+@pytest.mark.ranks
+def test_a_run_from_a_checkpoint_makes_the_same_steps(tmp_path_factory):
+    """Alone to the last bit, with the numbers of steps that it would have chosen, and its counts go on."""
+    def parts(scene):
+        return scene.beads, scene.air, scene.coupling, scene.fluid
+
+    def state(scene):
+        return scene.beads.momentum(), scene.mean_slip(), scene.beads.kinetic_energy()
+    comm = MPI.COMM_WORLD
+    path = str(comm.bcast(tmp_path_factory.mktemp("sub_cycling") if comm.rank == 0 else None)) + "/state.h5"
+    whole, rest, numbers = suspension(None), suspension(None), []
+    dt = 6 * relaxation_time(whole)
+    for k in range(8):
+        if k == 4:
+            fe_el.save_checkpoint(path, *parts(whole), time=k * dt)
+            numbers.append(whole.fluid.steps_total)
+        whole.advance(dt)
+    fe_el.load_checkpoint(path, *parts(rest))
+    assert rest.fluid.steps_total == numbers[0] and rest.fluid.advances == 4
+    for _ in range(4):
+        rest.advance(dt)
+    counts = [[getattr(scene.fluid, name) for name in ("steps_last", "steps_largest", "steps_total", "advances")]
+              for scene in (whole, rest)]
+    assert counts[0] == counts[1] and counts[0][3] == 8 < counts[0][2]
+    for a, b in zip(state(whole), state(rest)):
+        assert np.array_equal(a, b) if comm.size == 1 else b == pytest.approx(a, rel=1e-9, abs=1e-20)
 
 
 @pytest.mark.ranks
@@ -73,7 +120,9 @@ def test_large_steps_are_more_accurate():
         exact = np.interp(history[:, 0], reference[:, 0], reference[:, 1])
         assert stable and drift < 1e-10
         return np.sqrt(np.mean((history[1:, 1] / exact[1:] - 1) ** 2))
-    assert error("sub_cycled") < min(0.5 * error("conservative"), 0.03)
+    plain = error("conservative")
+    for scheme in ("sub_cycled", "by_courant"):
+        assert error(scheme) < min(0.4 * plain, 0.03)
 
 
 def test_fixed_fields_give_what_the_fluid_does_alone():
@@ -123,15 +172,16 @@ def test_void_fraction_changes_linearly_over_the_steps(monkeypatch):
 
 
 def test_number_of_steps_follows_the_courant_number():
-    """A uniform stream at Courant number 3.5: four steps of at most one; at most two if that is the limit."""
+    """A uniform stream at Courant number 3.5: four steps of at most one, also if nothing is said; two of at most two; and
+    two where that is the limit."""
     mesh, _ = fe_el.periodic_box((1.0, 1.0), (8, 8))
     air = fe_el.VolumeAveragedNavierStokes(mesh, None, 1.0, 1e-3)
     air.set_initial_velocity((1.0, 0.0))
     fields = [fem.Function(scalar_space(mesh, "DG", 0)) for _ in range(2)]
     fields[0].x.array[:] = 1.0
     dt = 3.5 / air.courant(1.0)
-    for most, expected in ((64, 4), (2, 2)):
-        steps = fe_el.SubCycled(air, courant=1.0, most=most)
+    for kwargs, expected in (({"courant": 1.0}, 4), ({}, 4), ({"courant": 2.0}, 2), ({"most": 2}, 2)):
+        steps = fe_el.SubCycled(air, **kwargs)
         steps.advance(dt, (*fields, fem.Function(air.velocity.function_space)))
         assert steps.steps_last == expected
 
@@ -190,8 +240,7 @@ def test_result_does_not_depend_on_ranks_or_order():
 def test_bad_choices_are_refused():
     mesh, _ = fe_el.periodic_box((1.0, 1.0), (3, 3))
     air = fe_el.VolumeAveragedNavierStokes(mesh)
-    either = "steps= or courant="
-    for words, kwargs in ((either, {}), (either, {"steps": 2, "courant": 1.0}), ("whole number", {"steps": 0}),
+    for words, kwargs in (("steps= or courant=", {"steps": 2, "courant": 1.0}), ("whole number", {"steps": 0}),
                           ("whole number", {"steps": 1.5}), ("greater than zero", {"courant": 0.0}),
                           ("1 or more", {"courant": 1.0, "most": 0})):
         with pytest.raises(ValueError, match=words):

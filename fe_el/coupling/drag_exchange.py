@@ -4,7 +4,7 @@ import warnings
 import numpy as np
 
 from fe_el.coupling import particle_loops as loops
-from fe_el.coupling.fitting import step_beyond_sense
+from fe_el.coupling.fitting import step_beyond_sense, step_too_fast
 from fe_el.coupling.fluid_at_particles import given
 from fe_el.coupling.relaxing_slip import over_step
 from fe_el.coupling.schemes import Exchange, Explicit
@@ -52,12 +52,17 @@ class DragExchange:
         self._set(2, b)
 
     def _check_step(self, dt, beta):
-        """Warn once of a step far beyond sense; in the first step and then every hundredth."""
+        """Warn once of a step far beyond sense, or too fast for a gas that answers in one; in the first step, in the second,
+        which knows whether it answers, and then every hundredth."""
         p, n = self.particles, self.particles.cells.owned
         in_cells = self._to_cells(self.volume * beta[:, None])[:, 0] / (self.density * (1 - self.solid[:n, 0]))
         rates = largest_of(self.comm, in_cells.max(initial=0.0), np.where(p.held, 0.0, beta / p.density).max(initial=0.0))
         message = step_beyond_sense(dt, *rates, type(self.scheme) is Explicit)
-        self.steps_to_check = -1 if message else 100
+        if not message and self.answers and self.added is None and self.step_mean is self.velocity_mean:
+            among = np.flatnonzero(self.solid[:n, 0] > 0)
+            courant = loops.largest_courant(self.cell_velocity[among], self._cell_size[among], dt)
+            message = step_too_fast(dt, largest_of(self.comm, courant)[0])
+        self.steps_to_check = -1 if message else 1 if self.answers is None else 100
         if message and self.comm.rank == 0:
             warnings.warn(message, RuntimeWarning, stacklevel=4)
 

@@ -8,6 +8,7 @@ from fe_el.coupling.light_particles import lightest_of
 
 LIGHT = 0.001  # density of a fluid over that of particles, from which on they take its pressure of the end of the step
 LARGEST = 1000.0  # relaxation times in a step, beyond which it tells little of what happens in it
+FAST = 7.0  # Courant number from which one step of the fluid in an exchange puts the slip of a suspension off by 5 %
 
 
 def fitting(flow, particles, forces, takes_shares=False):
@@ -61,4 +62,13 @@ def step_beyond_sense(dt, fluid_rate, particle_rate, explicit):
         if rate * dt > LARGEST:
             return (f"The step of {dt:.3g} s is {rate * dt:.3g} relaxation times of the {name} ({1 / rate:.2g} s). It is "
                     f"stable, but beyond {LARGEST:g} little of what happens in a step is resolved.")
+    return None
+
+
+def step_too_fast(dt, courant):
+    """What is wrong with one step of the fluid of ``dt`` [s] at the largest Courant number among particles; or None."""
+    if courant > FAST:
+        return (f"The step of {dt:.3g} s has a Courant number of {courant:.3g} among the particles, and the fluid makes it "
+                f"in one. It is stable, but beyond {FAST:g} the slip of a sedimenting suspension was off by more than 5 %. "
+                "Couple fe_el.SubCycled(fluid), which makes smaller steps of the fluid for the same exchange.")
     return None

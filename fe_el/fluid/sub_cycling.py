@@ -1,4 +1,5 @@
 """Several steps of the fluid for one exchange with the particles."""
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,8 @@ from fe_el.fluid.cells_and_nodes import CellsAndNodes
 if TYPE_CHECKING:
     from fe_el.fluid.volume_averaged_navier_stokes import VolumeAveragedNavierStokes
 
+COUNTS = ("steps_last", "steps_largest", "steps_total", "advances")
+
 
 class SubCycled:
     """Makes each step of a fluid in several, with drag coefficient and source held and the void fraction changing linearly.
@@ -21,19 +24,21 @@ class SubCycled:
     the void fraction of the end throughout, so momentum of fluid and particles stays exact.
 
         air = fe_el.VolumeAveragedNavierStokes(...)
-        steps = fe_el.SubCycled(air, 4)
-        coupling = fe_el.Coupling(beads, air.velocity, steps.mean_pressure, ..., mean_velocity=steps.mean_velocity)
+        steps = fe_el.SubCycled(air)
+        coupling = fe_el.Coupling.of(steps, beads, forces)
         steps.advance(dt, coupling.fields)
 
     Args:
         fluid (VolumeAveragedNavierStokes): the fluid.
-        steps (int): steps of the fluid in one; or absent with
-        courant (float): so many that the Courant number at the start stays below this, at most ``most``.
+        steps (int): steps of the fluid in one; absent: chosen for each, by
+        courant (float): so many that the Courant number of none is above this by the velocity at the start, the same on all
+            ranks, at most ``most``; absent: 1.
         most (int): see ``courant``.
 
     Attributes:
         mean_velocity, mean_pressure: Functions, means over the steps of the last :meth:`advance`.
-        steps_last (int): steps of the last :meth:`advance`.
+        steps_last (int): steps of the last :meth:`advance`; steps_largest: most of any so far.
+        steps_total, advances (int): all steps so far, and calls of :meth:`advance`.
 
     Raises:
         ValueError: for numbers out of range.
@@ -45,13 +50,13 @@ class SubCycled:
     def __init__(self, fluid: "VolumeAveragedNavierStokes", steps: int | None = None, courant: float | None = None,
                  most: int = 64) -> None:
         of_kind("fluid", fluid, CellsAndNodes)
-        if (steps is None) == (courant is None):
-            raise ValueError(f"Give a sub-cycled fluid steps= or courant=, not steps={steps!r} and courant={courant!r}.")
+        if steps is not None and courant is not None:
+            raise ValueError(f"Give a sub-cycled fluid steps= or courant=, not both: steps={steps!r}, courant={courant!r}.")
         if steps is not None:
             steps = whole_number("number of steps in one (steps)", steps, 1)
-        if courant is not None:
-            courant = positive_number("largest Courant number (courant)", courant)
-        self.fluid, self.steps, self.courant, self.steps_last = fluid, steps, courant, 0
+        self.fluid, self.steps = fluid, steps
+        self.courant = positive_number("largest Courant number (courant)", 1.0 if courant is None else courant)
+        self.steps_last = self.steps_largest = self.steps_total = self.advances = 0
         self.most = whole_number("largest number of steps in one (most)", most, 1)
         self._void_fraction = fem.Function(scalar_space(fluid.mesh, "DG", 0))
         self.mean_velocity = fem.Function(fluid.velocity.function_space, name="mean_velocity")
@@ -63,9 +68,7 @@ class SubCycled:
         Note:
             Collective.
         """
-        air, count = self.fluid, self.steps or 1
-        if self.courant is not None:
-            count = int(np.clip(np.ceil(air.courant(dt) / self.courant), 1, self.most))
+        air, count = self.fluid, self.steps or self._number(dt)
         n, phi = air.num_cells, self._void_fraction
         new = fields[0].x.array[:n].copy()
         old = new if air.void_fraction is None else air.void_fraction.copy()  # the fluid uses its arrays again
@@ -76,15 +79,21 @@ class SubCycled:
             velocity += air.velocity.x.array
             pressure += air.pressure.x.array
         self.mean_velocity.x.array[:], self.mean_pressure.x.array[:] = velocity / count, pressure / count
-        self.steps_last = count
+        self.steps_last, self.steps_largest = count, max(count, self.steps_largest)
+        self.steps_total, self.advances = self.steps_total + count, self.advances + 1
+
+    def _number(self, dt):
+        """Steps for one of ``dt`` [s] by the Courant number, the same on all ranks."""
+        ratio = self.fluid.courant(dt) / self.courant
+        return min(max(math.ceil(ratio), 1), self.most) if math.isfinite(ratio) else 1  # the fluid says what is wrong
 
     def saved(self) -> dict[str, tuple]:
-        """The means over the last step, for a checkpoint."""
+        """The means over the last step and the counts, for a checkpoint."""
         air, d = self.fluid, self.fluid.dimension
         velocity, pressure = self.mean_velocity.x.array.reshape(-1, d), self.mean_pressure.x.array
         return {"cells": (air.corner.mean(1), {"velocity": velocity[:air.num_cells]}),
                 "nodes": (air.node_position[:air.owned_nodes], {"pressure": pressure[:air.owned_nodes]}),
-                "same": (None, {"steps_last": self.steps_last})}
+                "same": (None, {name: getattr(self, name) for name in COUNTS})}
 
     def restore(self, state: dict[str, dict]) -> None:
         """Take them back."""
@@ -93,4 +102,5 @@ class SubCycled:
         self.mean_pressure.x.array[:air.owned_nodes] = state["nodes"]["pressure"]
         for function in (self.mean_velocity, self.mean_pressure):
             function.x.scatter_forward()
-        self.steps_last = int(state["same"]["steps_last"])
+        for name in COUNTS:
+            setattr(self, name, int(state["same"].get(name, 0)))  # files of older versions have the first alone
