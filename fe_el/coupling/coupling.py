@@ -19,6 +19,7 @@ from fe_el.coupling.ledger import Ledger
 from fe_el.coupling.lift_and_torque import Spin
 from fe_el.coupling.light_particles import LightParticles
 from fe_el.coupling.maps import Maps
+from fe_el.coupling.near_particles import NearParticles
 from fe_el.coupling.open_forces import OpenForces
 from fe_el.coupling.over_filled import Spill
 from fe_el.coupling.saved_coupling import SavedCoupling
@@ -88,7 +89,7 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
     checked: int  #: number of particles that came so far, when they were last checked
     gradient_mean: PressureGradientMean | None
     _dt: float | None
-    _kept: tuple[np.ndarray, np.ndarray] | None
+    _kept: tuple[np.ndarray, np.ndarray, NearParticles | None] | None
     _mapped: tuple | None
     layout: int | None
 
@@ -118,7 +119,8 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
             check_force(force)
         if smoothing is not None:
             function_or_class_of("smoothing", smoothing, "for instance HelmholtzSmoothing(mesh, length), or leave it out")
-        self.particles, self.comm, mesh = particles, particles.comm, particles.mesh
+        self.particles, self.comm, self.mesh = particles, particles.comm, particles.mesh
+        mesh = self.mesh
         self.density, self.viscosity, self.largest = fluid_density, fluid_viscosity, largest_solid_fraction
         self.dimension, self.answers = mesh.topology.dim, None  # whether the fluid changed in the last step
         self.ahead = {"start": 0.0, "middle": 0.5, None: None if mean_velocity is None else 0.5}[positions]
@@ -163,7 +165,8 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
         cells, thickness = particles.cells, particles.thickness if d == 2 else 1.0
         self._cell_size = (math.factorial(d) * cells.volume[:cells.owned] / thickness) ** (1 / d)
         self._dt, self.of_way = None, 1.0  # of the last to_fluid; rate of the particles' ways over that of their velocities
-        self._kept, self._mapped, self._work, self._none, self.layout = None, None, WorkArrays(), np.zeros((0, d)), None
+        self.near = self._kept = self._mapped = self.layout = None
+        self._work, self._none = WorkArrays(), np.zeros((0, d))
         self.steps_to_check = 0  # until the step is checked again; less: never
         self.over_filled, self.over_filled_total, self.solid_volume_error = 0, 0, 0.0
         self.momentum_imbalance, self.max_solid_fraction = 0.0, 0.0
@@ -246,7 +249,7 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
         self.mapping.prepare(p.cells, self.position_cell, position, 0.5 * p.diameter)
         if self.linear is not None:
             self.linear.prepare(p.cells, self.position_cell, position, 0.5 * p.diameter)
-        content = self._volumes(self._smooth(self._deposit(self.volume)[:p.cells.owned] / self._owned_volume()))
+        content = self._volumes(self._smooth_first(self._deposit(self.volume)[:p.cells.owned] / self._owned_volume()))
         self.spill = Spill(p.cells, p.halo, content[:, 0], self.largest)
         self.over_filled = self.spill.over_filled_everywhere
         self.over_filled_total += self.over_filled
@@ -277,7 +280,7 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
         changed &= self.ahead is None
         back = self._back(rows)
         kept = rows.shape[1] if self.came else d
-        self._kept = (rows[:, :kept].copy(), back[:, :kept]) if not self.spill.moves else None
+        self._kept = (rows[:, :kept].copy(), back[:, :kept], self.near) if not self.spill.moves else None
         at_particles = self._gather(back, "velocity_and_slope")
         if self.pressure_force is not None:
             if self.added is not None:

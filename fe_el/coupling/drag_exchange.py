@@ -7,7 +7,7 @@ from fe_el.coupling import particle_loops as loops
 from fe_el.coupling.fitting import step_beyond_sense, step_too_fast
 from fe_el.coupling.fluid_at_particles import given
 from fe_el.coupling.relaxing_slip import over_step
-from fe_el.coupling.schemes import Exchange, Explicit
+from fe_el.coupling.schemes import Conservative, Exchange, Explicit
 from fe_el.parallel.exchange import largest_of, raise_everywhere
 
 
@@ -39,17 +39,26 @@ class DragExchange:
             mean[:, 1:] += own - ahead
             offset = -ahead if offset is None else offset - ahead
         inertia, acceleration = self._accelerations()
+        at_once = type(self.scheme) is Conservative and self.added is None
         self.exchange = Exchange(dt, self.volume, inertia, velocity, acceleration, beta[:, None], mean[:, 1:], offset,
-                                 self._to_cells, lambda q: self._deposit(q)[:n], cell_velocity,
-                                 self.fixed or (lambda field, filled: field), p.late)
+                                 self._to_cells_with_reaction if at_once else self._to_cells, lambda q: self._deposit(q)[:n],
+                                 cell_velocity, self.fixed or (lambda field, filled: field), p.late)
         a, b = self.scheme.fields(self.exchange) if self.added is None else self._fields_with_added_mass(solid)
-        if self.reacts or self.came and self.pressed:
-            b = b + self._reaction()
+        if self.spin is not None or not at_once and (self.reacts or self.came and self.pressed):
+            b = b + self._reaction(not at_once)
         if self.steps_to_check == 0:
             self._check_step(dt, beta)
         self.steps_to_check -= 1
         self._set(1, a)
         self._set(2, b)
+
+    def _to_cells_with_reaction(self, rate_and_source):
+        """Cell densities of both, with what particles get beside drag and pressure taken off the source."""
+        if not len(self.explicit_reaction):
+            return self._to_cells(rate_and_source)
+        rows = rate_and_source.copy()
+        rows[:, 1:] -= self.explicit_reaction
+        return self._to_cells(rows)
 
     def _check_step(self, dt, beta):
         """Warn once of a step far beyond sense, or too fast for a gas that answers in one; in the first step, in the second,
@@ -151,7 +160,7 @@ class DragExchange:
         """Cell values (the columns from ``first`` on of velocity and pressure gradient) made ready for particles; what the
         last step smoothed serves again if nothing was spilled."""
         columns = slice(first, first + values.shape[1])
-        if self._kept is None or self.spill.moves or self._kept[0].shape[1] < columns.stop:
+        if self._kept is None or self.spill.moves or self._kept[0].shape[1] < columns.stop or self._kept[2] is not self.near:
             return self._back(values)
         same = np.array_equal(self._kept[0][:, columns], values) and len(self._kept[1]) == len(self.particles.cells.volume)
         if self.comm.allreduce(int(same)) < self.comm.size:

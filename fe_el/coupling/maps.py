@@ -8,7 +8,8 @@ from fe_el.parallel.exchange import raise_everywhere
 
 
 class Maps:
-    """The maps of a coupling, which has ``particles``, ``mapping``, ``smoothing``, ``spill``, ``fields`` and ``_work``."""
+    """The maps of a coupling, which has ``particles``, ``mapping``, ``smoothing``, ``near``, ``linear``, ``spill``,
+    ``fields`` and ``_work``."""
 
     def to_cells(self, quantity: ArrayLike) -> np.ndarray:
         """Cell densities of what particles give off, by the map that gives the fluid their volume and their forces.
@@ -60,12 +61,22 @@ class Maps:
         cells = self.particles.cells
         return cells.volume[:cells.owned, None]
 
-    def _smooth(self, field):
-        """Smoothing of owned cell values; the identity without."""
+    def _smooth_first(self, density):
+        """Smoothed density of the particles, which are in the cells where it is not zero; the step's smoothing is then done
+        near those only."""
+        if hasattr(self.smoothing, "near") and self.linear is None:  # which sees cells that hold no particle, too
+            tick = time.perf_counter()
+            self.near = self.smoothing.near(density[:, 0] > 0, self.near)
+            self.seconds["smoothing"] += time.perf_counter() - tick
+        return self._smooth(density)
+
+    def _smooth(self, field, back=False):
+        """Smoothing of owned cell values from particles, or ``back`` to them; the identity without."""
         if self.smoothing is None:
             return field
         tick = time.perf_counter()
-        out = self.smoothing(np.ascontiguousarray(field))
+        smooth = self.smoothing if self.near is None else self.near.back if back else self.near.spread
+        out = smooth(np.ascontiguousarray(field))
         self.seconds["smoothing"] += time.perf_counter() - tick
         return out
 
@@ -91,7 +102,7 @@ class Maps:
     def _back(self, field):
         """Owned cell values made ready for particles: spilled back, then smoothed; the transpose of :meth:`to_cells`."""
         out = self.spill.transpose(self._on_cells(field))
-        return out if self.smoothing is None else self._on_cells(self._smooth(out[:len(field)]))
+        return out if self.smoothing is None else self._on_cells(self._smooth(out[:len(field)], back=True))
 
     def _at_particles(self, field):
         """The same (particles, k) of (owned cells, k)."""

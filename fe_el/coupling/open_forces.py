@@ -46,10 +46,11 @@ class OpenForces:
             if "_pressure_gradient" in p.properties:
                 p.properties["_pressure_gradient"][late[:, 0] > 0] = slope[late[:, 0] > 0]
 
-    def _reaction(self):
-        """Momentum source (owned cells, d) by what the particles get beside drag and pressure: the opposite."""
+    def _reaction(self, of_forces=True):
+        """Momentum source (owned cells, d) by what the particles get beside drag and pressure: the opposite; without
+        ``of_forces`` that of their spin alone."""
         source = np.zeros((self.particles.cells.owned, self.dimension))
-        if "force" in self.others or self.came and self.pressed:
+        if of_forces and ("force" in self.others or self.came and self.pressed):
             source -= self._to_cells(self.explicit_reaction)
         if self.spin is not None:
             source -= self.spin.force_of(self._to_cells(self.torque))

@@ -1,12 +1,13 @@
 """Smoothing of cell fields over a length: self-adjoint and conservative, with a constant matrix that is set up once."""
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
 from fe_el.checks import positive_number, require_mesh, require_positive, whole_number
-from fe_el.compiled.cache import njit
-from fe_el.compiled.for_each_dimension import FAST, M, by_dimension
+from fe_el.compiled.for_each_dimension import M, by_dimension
+from fe_el.coupling.near_particles import STEPS, NearParticles, ways_between
+from fe_el.coupling.polynomial import MatrixRows, begin, chebyshev
 from fe_el.nodes.nodal_kernels import add_integrals
 from fe_el.nodes.nodal_matrix import NodalMatrix
 from fe_el.nodes.nodal_space import NodalSpace
@@ -28,45 +29,6 @@ def _to_cells(dofs, values, out):
             for i in range(M):
                 total += values[dofs[c, i], k]
             out[c, k] = share * total
-
-
-@njit(fastmath=FAST)
-def _chebyshev(rows, b, x_old, x, new, first, second):
-    """new = x + first (x - x_old) + second D^-1 (b - H x) on the owned rows, once for each ``first``; for groups (groups,
-    rows, 4) of four components, which are one vector instruction, and with two sums at a time, as one would wait for each
-    product."""
-    start, column, value, inverse_diagonal = rows.start, rows.column, rows.value, rows.inverse_diagonal
-    owned, one, two = len(start) - 1, np.uint64(1), np.uint64(2)
-    for j in range(len(b)):
-        load, last, now, then = b[j], x_old[j], x[j], new[j]
-        for step in range(len(first)):
-            f = first[step]
-            for i in range(owned):
-                p, q, r, s, n, end = load[i, 0], load[i, 1], load[i, 2], load[i, 3], start[i], start[i + 1]
-                p2, q2, r2, s2 = 0.0, 0.0, 0.0, 0.0
-                while n + one < end:
-                    c, v, c2, v2 = column[n], value[n], column[n + one], value[n + one]
-                    p, q, r, s = p - v * now[c, 0], q - v * now[c, 1], r - v * now[c, 2], s - v * now[c, 3]
-                    p2, q2, r2, s2 = p2 - v2 * now[c2, 0], q2 - v2 * now[c2, 1], r2 - v2 * now[c2, 2], s2 - v2 * now[c2, 3]
-                    n += two
-                if n < end:
-                    c, v = column[n], value[n]
-                    p, q, r, s = p - v * now[c, 0], q - v * now[c, 1], r - v * now[c, 2], s - v * now[c, 3]
-                g = second[step] * inverse_diagonal[i]
-                then[i, 0] = now[i, 0] + f * (now[i, 0] - last[i, 0]) + g * (p + p2)
-                then[i, 1] = now[i, 1] + f * (now[i, 1] - last[i, 1]) + g * (q + q2)
-                then[i, 2] = now[i, 2] + f * (now[i, 2] - last[i, 2]) + g * (r + r2)
-                then[i, 3] = now[i, 3] + f * (now[i, 3] - last[i, 3]) + g * (s + s2)
-            last, now, then = now, then, last
-
-
-class MatrixRows(NamedTuple):
-    """Owned rows of a matrix H with diagonal D."""
-
-    start: np.ndarray  #: (rows + 1,)
-    column: np.ndarray  #: (entries,) local
-    value: np.ndarray  #: (entries,)
-    inverse_diagonal: np.ndarray  #: (rows,)
 
 
 class Nodes(NodalSpace):
@@ -111,12 +73,13 @@ class HelmholtzSmoothing:
         Collective.
     """
 
-    def __init__(self, mesh: "Mesh", length: float, tolerance: float = 1e-4) -> None:
+    def __init__(self, mesh: "Mesh", length: float, tolerance: float = 1e-3) -> None:
         require_mesh(mesh)
         self.length = length = positive_number("smoothing length", length)
         if not positive_number("tolerance of the smoothing", tolerance) < 1:
             raise ValueError(f"The tolerance of the smoothing is {tolerance}; it must be between 0 and 1.")
         self.nodes, self._work = Nodes(mesh), WorkArrays()
+        self._used: dict[tuple[int, int], np.ndarray] = {}
         nodes, m = self.nodes, self.nodes.dofs.shape[1]
         matrix = NodalMatrix(nodes.space, nodes.dofs)
         stiffness = length ** 2 * np.einsum("cik,cjk,c->cij", nodes.gradient, nodes.gradient, nodes.volume)
@@ -124,8 +87,10 @@ class HelmholtzSmoothing:
         matrix.add(elements)
         matrix.assemble()
         self._local_rows(matrix.matrix)
+        self._ways, self._reach = ways_between(matrix, nodes, length), float(np.log(1 / tolerance))
         low, high = self._spectrum(elements)
         self.mass = nodes.load(np.ones((len(nodes.dofs), 1)))[:nodes.owned_nodes, 0]
+        self._all = np.arange(nodes.owned_nodes, dtype=np.uint32)
         self.middle, self.half = 0.5 * (high + low), max(0.5 * (high - low), 1e-12 * high)
         root = np.sqrt(high / low)
         rate = (root - 1) / (root + 1)
@@ -181,6 +146,7 @@ class HelmholtzSmoothing:
         local = column.astype(np.int64) - first
         ghosts = np.unique(column[(local < 0) | (local >= n)]).astype(np.int64)
         outside = (local < 0) | (local >= n)
+        self.border = np.unique(np.searchsorted(start, np.flatnonzero(outside), side="right") - 1)  # rows with ghosts
         local[outside] = n + np.searchsorted(ghosts, column[outside])
         owners = np.searchsorted(starts, ghosts, side="right") - 1
         self.halo = Halo.of_requests(comm, n + np.arange(len(ghosts)), owners, ghosts - starts[owners])
@@ -188,23 +154,28 @@ class HelmholtzSmoothing:
         self.matrix_rows = MatrixRows(start.astype(np.uint64), local.astype(np.uint32), value.copy(),
                                       1 / csr_matrix((value, local, start), (n, self.rows)).diagonal())
 
-    def _solve(self, load):
-        """Approximate H^-1 load of (owned nodes, k) by the Chebyshev polynomial."""
-        (n, k), at_once = load.shape, len(self.first) if self.nodes.comm.size == 1 else 1
-        groups = -(-k // 4)
-        b = np.zeros((groups, n, 4))
-        x_old, x, new = (self._work.empty((groups, name), groups, self.rows, 4) for name in range(3))
-        for j in range(k):
-            b[j // 4, :, j % 4] = load[:, j]
-        x_old[:] = 0.0
-        np.multiply((self.matrix_rows.inverse_diagonal / self.middle)[:, None], b, out=x[:, :n])
-        for i in range(0, len(self.first), at_once):
-            part = slice(i, i + at_once)
-            self.halo.forward(*x)
-            _chebyshev(self.matrix_rows, b, x_old, x, new, self.first[part], self.second[part])
+    def solve(self, load, at):
+        """Approximate H^-1 load of (owned nodes, k) by the Chebyshev polynomial, with H and load cut off to the rows
+        ``at``: (owned nodes, k), for now."""
+        parts = [self._solve(load, column, at) for column in range(0, load.shape[1], 8)]
+        return parts[0] if len(parts) == 1 else np.hstack(parts)
+
+    def _solve(self, load, column, at):
+        """The same for up to eight columns of the load."""
+        (n, k), steps = load.shape, len(self.first) if self.nodes.comm.size == 1 else 1
+        width = 4 if k - column <= 4 else 8
+        b, x_old, x, new = (self._work.empty((name, column, width), self.rows, width) for name in range(4))
+        last = self._used.get((column, width), np.arange(self.rows, dtype=np.uint32))  # rows that are not zero
+        self._used[column, width] = at
+        begin(at[:0] if last is at else last, at, self.matrix_rows.inverse_diagonal, 1 / self.middle, load, column, b, x_old,
+              x, new)
+        for i in range(0, len(self.first), steps):
+            part = slice(i, i + steps)
+            self.halo.forward(x)
+            chebyshev(self.matrix_rows, at, b, x_old, x, new, self.first[part], self.second[part])
             for _ in self.first[part]:
                 x_old, x, new = x, new, x_old
-        return x[:, :n].transpose(1, 0, 2).reshape(n, -1)[:, :k]
+        return x[:n, :k - column]
 
     def __call__(self, field: np.ndarray) -> np.ndarray:
         """Smoothed cell field (owned cells, k)."""
@@ -213,10 +184,18 @@ class HelmholtzSmoothing:
             return field.copy()
         mean = nodes.comm.allreduce(nodes.volume @ field) / nodes.total
         values = np.empty((nodes.nodes, field.shape[1]))
-        values[:n] = self._solve(nodes.load(field)[:n] - self.mass[:, None] * mean)
+        values[:n] = self.solve(nodes.load(field)[:n] - self.mass[:, None] * mean, self._all)
         lost = nodes.comm.allreduce(self.mass @ values[:n]) / nodes.total
         values[:n] += mean - lost
         return nodes.means(nodes.node_halo.forward(values))
+
+    def near(self, filled: np.ndarray, before: NearParticles | None = None) -> NearParticles:
+        """The same for fields of particles in the filled cells (owned cells,), a mask; of the step ``before`` if that
+        serves."""
+        if before is None:
+            return NearParticles(self, filled, self._ways, self._reach)
+        cells = before.cells_of_next(filled)
+        return before if cells is None else NearParticles(self, cells, self._ways, self._reach, before.steps % STEPS)
 
 
 class PatchAverage:
