@@ -9,6 +9,8 @@ from fe_el.fluid.pressure_equation import poisson_matrix
 from fe_el.nodes.linear_solver import LinearSolver
 from fe_el.nodes.nodal_matrix import NodalMatrix
 
+FACTORED = {2: 200_000, 3: 10_000}  # nodes up to which a constant matrix is factored, by dimension: seconds, once
+
 
 @by_dimension
 def mass_balance(dofs, grad, volume, phi, rate, q, residual, scale):
@@ -36,7 +38,7 @@ class ClosedFlux:
     """Takes from a mass flux the gradient that closes the balance (flux, grad w) = (rho dphi/dt - sources, w) of a step.
 
     Only then does transport keep a uniform velocity, or a uniform scalar, while the void fraction changes. The matrix is
-    constant and set up once.
+    constant and set up once: on one rank it is factored, which is four to ten times as fast as multigrid, while factors fit.
 
     Args:
         fluid (VolumeAveragedNavierStokes): with its boundary conditions.
@@ -53,7 +55,9 @@ class ClosedFlux:
         laplacian.fix(fluid.fixed_pressure, none, none)
         laplacian.assemble()
         self.matrix = laplacian.matrix
-        self.solver = LinearSolver(self.matrix, "flux", "cg", "gamg", fluid.tolerance, not fluid.outlets)
+        direct = fluid.outlets and fluid.comm.size == 1 and fluid.nodes <= FACTORED[fluid.dimension]
+        self.solver = LinearSolver(self.matrix, "flux", "cg", "cholesky" if direct else "gamg", fluid.tolerance,
+                                   not fluid.outlets)
 
     def __call__(self, step, time):
         """Close the mass flux of the :class:`StepState` whose middle is ``time`` [s], in place."""

@@ -38,6 +38,8 @@ class LinearSolver:
         self.ksp.setOperators(matrix)
         self.ksp.setType(method)
         self.ksp.getPC().setType(preconditioner)
+        if preconditioner == "cholesky":
+            self.ksp.getPC().setFactorOrdering("nd")  # fills in least
         self.ksp.setTolerances(rtol=tolerance, atol=1e-300, max_it=500)
         self.ksp.setInitialGuessNonzero(True)
         if method != "cg":
