@@ -145,9 +145,10 @@ def run(axis, value, steps):
                 scene.advance()
                 energy.append(scene.energy())
                 worst = np.maximum(worst, scene.imbalance())
-            lost = scene.count - scene.beads.total_number
         except (ValueError, ArithmeticError, RuntimeError) as error:
             reason = f"{type(error).__name__}: {str(error)[:90]}"
+    if energy:  # in cases that stop, too: nothing may be lost before the sentence
+        lost = scene.count - scene.beads.total_number + int((~np.isfinite(scene.beads.position).all(1)).sum())
     e = np.array(energy) / (energy[0] if energy and energy[0] > 0 else 1.0)
     light = axis == "density_ratio" and value < 1.4  # what is accelerated with them has energy, too
     stable = not reason and bool(np.isfinite(e).all()) and (driven or e.max() < (2.0 if light else 1 + 1e-6))
@@ -175,7 +176,8 @@ def main(axes=(*AXES, "walls"), steps=40, output="out/coupled_map", progress=Tru
         for r in rows:
             print(f"{r['axis']:<14} {r['value']!s:>14} {r['steps']:4d} steps, largest energy {r['max_energy']:.8g}, end "
                   f"{r['end_energy']:.3g}, momentum {r['momentum_imbalance']:.1e}, "
-                  f"solid {r['solid_volume_error']:.1e}, {'stable' if r['stable'] else 'NOT STABLE'} {r['seconds']:.1f} s "
+                  f"solid {r['solid_volume_error']:.1e}, "
+                  f"{'stable' if r['stable'] else 'stopped' if r['reason'] else 'NOT STABLE'} {r['seconds']:.1f} s "
                   f"{r['reason'] or r['warning']}")
     return fe_el.write_summary(output, cases=len(rows), stable=sum(r["stable"] for r in rows),
                                lost=sum(r["lost"] for r in rows), ledger_exact=sum(r["ledger"] for r in rows),

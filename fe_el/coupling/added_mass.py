@@ -28,6 +28,16 @@ waits is given to the fluid in parts of 1 / (1 + g) per step, with which that lo
 With C = 0 the same takes the pressure force of heavier particles implicitly. Their contact force of the last step is
 expected again, in f_0, as without it (:class:`fe_el.coupling.schemes.Conservative`), so nothing waits.
 
+The void fraction of a step is that of the particles' last way, so what they displace answers the fluid a step late: a flux
+s v of solids makes one of the fluid that is s / (1 - s) as large, whose drag and pressure push them back too far. With the
+rate of the last way alone that loop grows from a solid fraction of a half in steps of many relaxation times, at 0.74 from
+0.1 of them on (linear analysis of uniform media). So where particles are crowded the fluid is also told by how much their
+flux answers its own change within the step, a (u - u_0) - b grad (p - p_0) with
+
+    a = sum w V m k dt (1 + C rho / (beta dt)) / V_c,    b = sum w V m dt / rho_e / V_c,
+
+less for particles that contacts hold. It is zero in a steady state, and added up over steps it does not drift.
+
 Without added mass, displaced volume that answers the pressure of the last step is unstable when s rho > 2 (1 - s) rho_p, s
 the solid fraction: the pressure of an accelerated liquid drives light particles, whose acceleration displaces it. With it
 s (C + 1 - s) < 2 (1 - s) C is stable for massless particles: for C = 1/2 up to s = 0.45, with Zuber's up to 0.64.
@@ -73,6 +83,18 @@ def relaxation(a):
     return part / a, 1 - part / a, 1 / part - 1 / a
 
 
+@njit(error_model="numpy")
+def _freely(inverse, velocity, contact):
+    """How freely a particle answers the fluid, from 0 to 1: its speed over that and what its contact force changes in a
+    step, ``inverse`` times that force; contacts that hold it at rest answer in its place."""
+    speed, push = 0.0, 0.0
+    for k in range(len(velocity)):
+        speed += velocity[k] * velocity[k]
+        push += contact[k] * contact[k]
+    speed, push = math.sqrt(speed), inverse * math.sqrt(push)
+    return speed / (speed + push) if push > 0.0 else 1.0
+
+
 class Moved(NamedTuple):
     """Particles with their added mass, before the fluid is known; n of them in d dimensions."""
 
@@ -89,9 +111,10 @@ class Moved(NamedTuple):
 
 
 @njit(error_model="numpy")
-def _rows(dt, pressed, moved, rate, rows):
-    """Fill V K, V P and V f_0 (n, 2 + d), means over the whole step, and the rates of relaxation (n,) [1/s]; without
-    pressure force if not ``pressed``."""
+def _rows(dt, pressed, moved, rate, rows, answer):
+    """Fill V K, V P and V f_0 (n, 2 + d), means over the whole step, the rates of relaxation (n,) [1/s], and the volume
+    times what the velocity at the end answers to the fluid's and to minus the pressure gradient (n, 2); without pressure
+    force if not ``pressed``."""
     volume, density, added, beta = moved.volume, moved.density, moved.added, moved.beta
     velocity, known, contact, carried = moved.velocity, moved.known, moved.contact, moved.carried
     for i in range(len(velocity)):
@@ -99,6 +122,7 @@ def _rows(dt, pressed, moved, rate, rows):
         v, inertia, later = volume[i, 0] * here, added[i] / (dt * here), 0.0 if moved.expected else here
         if own == np.inf:
             rate[i], rows[i, 0], rows[i, 1] = 0.0, v * (b + inertia), 0.0
+            answer[i, 0], answer[i, 1] = 0.0, 0.0
             for k in range(velocity.shape[1]):
                 rows[i, 2 + k] = -v * (b * velocity[i, k] + inertia * carried[i, k])
             continue
@@ -108,6 +132,8 @@ def _rows(dt, pressed, moved, rate, rows):
         handed = rest + m * added[i] / whole
         rate[i], rows[i, 0] = b / whole, v * part * (b + inertia)
         rows[i, 1] = volume[i, 0] - v * (1 - handed) if pressed else 0.0  # all of it while it is not there
+        moves = v * m * dt * here / whole * _freely(dt * here / (whole * volume[i, 0]), velocity[i], contact[i])
+        answer[i, 0], answer[i, 1] = moves * (b + inertia), moves if pressed else 0.0
         for k in range(velocity.shape[1]):
             rows[i, 2 + k] = -v * part * (b * velocity[i, k] + inertia * carried[i, k]) \
                 - handed * (v * known[i, k] - later * contact[i, k])
@@ -187,9 +213,10 @@ class AddedMassExchange:
             carried = np.where(p.properties["added_mass"][:, None] == 0.0, carried, p.properties["_carried_velocity"])
         added, velocity = self.law.density(solid, fluid_density), x.velocity if x.offset is None else x.velocity - x.offset
         self.rows, self.relaxation_rate = work.empty("rows", n, 2 + d), work.empty("relaxation_rate", n)
+        self.answer = work.empty("answer", n, 2)
         self.dt, self.moved = x.dt, Moved(x.volume, x.density, added, x.beta, velocity, x.acceleration * p.density[:, None],
                                           p.mean_contact_force, self.expected, carried, x.late)
-        _fill_rows(x.dt, self.pressed, self.moved, self.relaxation_rate, self.rows)
+        _fill_rows(x.dt, self.pressed, self.moved, self.relaxation_rate, self.rows, self.answer)
         if self.expected:
             return self.rows, np.zeros((n, d))
         gain = solid / (1 - solid) * (added + x.beta[:, 0] * x.dt) / fluid_density

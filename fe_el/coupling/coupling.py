@@ -72,7 +72,9 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
 
     Attributes:
         fields: (void fraction DG0, drag coefficient A DG0 [kg/(m^3 s)], momentum source B DG0 vector [N/m^3]); with added
-            mass or the pressure of the end of the step also the share DG0 of the pressure gradient that particles hand on.
+            mass or the pressure of the end of the step also the share of the pressure gradient (DG0) that particles hand on,
+            and what the flux of crowded solids answers to a change of the fluid's velocity and of minus the pressure
+            gradient.
         over_filled (int): cells that were over-filled in the last step, over all ranks.
         solid_volume_error, momentum_imbalance (float): ledger of the last step, relative to the solid volume and to the
             particles' weight, that of added mass included (without gravity: to the force).
@@ -142,7 +144,9 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
         self.fields = (fem.Function(scalar, name="void_fraction"), fem.Function(scalar, name="drag_coefficient"),
                        fem.Function(vector, name="momentum_source"))
         if self.added is not None:
-            self.fields += (fem.Function(scalar, name="pressure_share"),)
+            self.fields += tuple(fem.Function(scalar, name=name) for name in (
+                "pressure_share", "answer_to_velocity", "answer_to_gradient"))
+            self.nothing = np.zeros((particles.cells.owned, 1))
         self.fields[0].x.array[:] = 1.0
         self.velocity_mean = self.step_mean = CellMean(mesh, velocity, d)
         if mean_velocity is not None:

@@ -10,6 +10,8 @@ from fe_el.coupling.relaxing_slip import over_step
 from fe_el.coupling.schemes import Conservative, Exchange, Explicit
 from fe_el.parallel.exchange import largest_of, raise_everywhere
 
+CROWDED = 0.3  # solid fraction of the fullest cell from which particles' answer is part of the fluid's balance
+
 
 class DragExchange:
     """Drag fields and forces of :class:`Coupling`."""
@@ -80,9 +82,12 @@ class DragExchange:
         rows, self.late = self.added.fields(self.exchange, self.particles, solid, self.density)
         if self.came and self.pressure_force is not None:  # the constant part of what is handed on while they are not there
             self.late = self.late + self.particles.late[:, None] * self.volume * self.pressure_force.mean[:self.dimension]
-        out = self._to_cells(np.hstack([rows[:, :2], self.late - rows[:, 2:]]))
-        self._set(3, out[:, 1:2])
-        return out[:, :1], out[:, 2:]
+        d, crowded = self.dimension, self.max_solid_fraction > CROWDED
+        columns = [rows[:, :2], self.late - rows[:, 2:]] + ([self.added.answer] if crowded else [])
+        out = self._to_cells(np.hstack(columns))
+        for which, first in ((3, 1), (4, 2 + d), (5, 3 + d)):
+            self._set(which, out[:, first:first + 1] if first < out.shape[1] else self.nothing)
+        return out[:, :1], out[:, 2:2 + d]
 
     def _coefficient(self, solid, slip, dt):
         """Drag coefficient of each particle, checked."""

@@ -34,8 +34,8 @@ def velocity_at(value, time, position, dimension):
 def check_fields(fields, cells, dimension):
     """Raise ``ValueError`` unless these are the fields that a step takes: DG0 Functions for this rank's cells."""
     sizes = [len(f.x.array) / width if hasattr(f, "x") else 0
-             for f, width in zip(fields, (1, 1, dimension, 1))] if isinstance(fields, (tuple, list)) else []
-    if len(sizes) not in (3, 4) or len(fields) > 4 or min(sizes) < cells or max(sizes) != min(sizes):
+             for f, width in zip(fields, (1, 1, dimension, 1, 1, 1))] if isinstance(fields, (tuple, list)) else []
+    if len(sizes) not in (3, 4, 6) or len(fields) > 6 or min(sizes) < cells or max(sizes) != min(sizes):
         raise ValueError("The fields of a step are not void fraction, drag coefficient (DG0) and momentum source (DG0 "
                          f"vector) of this mesh, but {str(fields)[:60]}; pass Coupling.fields, or Functions of such kind.")
 

@@ -94,6 +94,8 @@ class Ledger(CellNodeFluid):
             raise RuntimeError("The residual of mass is not known before a step; call advance first.")
         residual, scale = self.nodal_zeros(()), self.nodal_zeros(())
         q = self.velocity.x.array.reshape(-1, d)[:self.num_cells]
+        if step.answer is not None:
+            q = q + step.answered / step.after[:, None]
         mass_balance(self.dofs, self.gradient, self.volume, step.after, step.supply, q, residual, scale)
         residual += step.inflow
         self.complete(residual, scale)

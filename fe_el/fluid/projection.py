@@ -58,11 +58,50 @@ def pressure_step(cells, step, phi, part, diagonal, p, transported, q, gain, cha
                 change[dofs[c, i], k] += given
 
 
+@by_dimension
+def let_solids_answer(cells, answer, diagonal, part, q, start, p, equation):
+    """Add the solids' answer to the pressure equation: (phi u + a (u - u_0) - b grad (p - p_0), grad w) = (dphi/dt, w).
+
+    q is the velocity before the pressure, ``start`` u_0 and p the pressure p_0 of the last step.
+    """
+    dofs, grad, volume, to_velocity, to_gradient = cells.dofs, cells.gradient, cells.volume, answer.to_velocity, \
+        answer.to_gradient
+    weight, rhs = equation.weight, equation.rhs
+    flux = np.empty(D)
+    for c in range(len(dofs)):
+        weight[c] += volume[c] * (to_velocity[c] * part[c] / diagonal[c] + to_gradient[c])
+        for k in range(D):
+            slope = 0.0
+            for i in range(M):
+                slope += grad[c, i, k] * p[dofs[c, i]]
+            flux[k] = volume[c] * (to_velocity[c] * (q[c, k] - start[c, k]) + to_gradient[c] * slope)
+        for i in range(M):
+            for k in range(D):
+                rhs[dofs[c, i]] += grad[c, i, k] * flux[k]
+
+
+@by_dimension
+def answer_of(cells, answer, q, start, rise, out):
+    """a (u - u_0) - b grad (p - p_0), with the ``rise`` p - p_0 of the pressure."""
+    dofs, grad, to_velocity, to_gradient = cells.dofs, cells.gradient, answer.to_velocity, answer.to_gradient
+    for c in range(len(dofs)):
+        for k in range(D):
+            slope = 0.0
+            for i in range(M):
+                slope += grad[c, i, k] * rise[dofs[c, i]]
+            out[c, k] = to_velocity[c] * (q[c, k] - start[c, k]) - to_gradient[c] * slope
+
+
 class Projection(Boundaries):
     """(rho phi/dt + A) q = rho phi/dt q_T + B - phi grad p with (phi q, grad w) = (dphi/dt, w) for every P1 w.
 
     Eliminating q gives one symmetric positive equation of the pressure; grad P1 lies in the space of the cells, so the
     projection is exact, with the drag on the diagonal.
+
+    The rate of the void fraction is that by the particles' last way. Where they are crowded and answer the fluid within a
+    step, that way feeds back: a flux (1 - phi) v of solids makes one of the fluid that is (1 - phi)/phi as large, and drags
+    them the other way. So what they answer to the fluid's change within the step (``StepState.answer``) is part of the
+    balance: (phi q + a (q - q_0) - b grad (p - p_0), grad w) = (dphi/dt, w), which is the same in a steady state.
     """
 
     def _supply(self, step: StepState) -> None:
@@ -89,21 +128,28 @@ class Projection(Boundaries):
         """Stage 4: cells and nodes get their new velocities, with a drag and source that have those of the walls in them."""
         n, d, work, state, dt = self.num_cells, self.dimension, self.work, self.state, step.dt
         q, rhs = work.empty("exchanged", n, d), work.zeros("pressure_load", self.nodes)
-        diagonal, weight = work.empty("diagonal", n), work.empty("weight", n)
+        equation = PressureSystem(work.empty("diagonal", n), work.empty("weight", n), rhs)
         body, share = self._body_force(step), step.share
         if step.handed is not None:  # of the solved pressure alone
             body, share = (share / (share + step.handed))[:, None] * body, share + step.handed
         exchange_system(self.cells, step.numbers, step.after, Exchange(share, step.supply, drag, source, body),
-                        step.transported, step.correction, step.kept, q, PressureSystem(diagonal, weight, rhs))
+                        step.transported, step.correction, step.kept, q, equation)
+        if step.answer is not None:
+            before = work.empty("pressure_before", self.nodes)
+            before[:] = self.pressure.x.array
+            let_solids_answer(self.cells, step.answer, equation.diagonal, share, q, step.velocity, before, equation)
         step.inflow = self.inflow_at(self.time)
         rhs += step.inflow
         if not self.outlets:
             self.check_closed(step)
-        self.pressure_equation.solve(weight, rhs)
+        self.pressure_equation.solve(equation.weight, rhs)
         change = work.other("force", state.force, self.nodes, d)
         change.fill(0.0)
-        pressure_step(self.cells, step.numbers, step.after, share, diagonal, self.pressure.x.array, step.kept, q, state.gain,
-                      change)
+        pressure_step(self.cells, step.numbers, step.after, share, equation.diagonal, self.pressure.x.array, step.kept, q,
+                      state.gain, change)
+        if step.answer is not None:
+            step.answered = work.empty("answered", n, d)
+            answer_of(self.cells, step.answer, q, step.velocity, self.pressure.x.array - before, step.answered)
         self.complete(change)
         self.velocity.x.array.reshape(-1, d)[:n] = q
         self.cell_halo.forward(self.velocity.x.array.reshape(-1, d))

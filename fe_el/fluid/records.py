@@ -68,6 +68,13 @@ class Exchange(NamedTuple):
     body: np.ndarray  #: (n or 1, d) body force [N/m^3]
 
 
+class SolidsAnswer(NamedTuple):
+    """What the solids' volume flux (1 - phi) v answers within a step to what the fluid does in it."""
+
+    to_velocity: np.ndarray  #: (n,) change of the flux over that of the fluid's velocity
+    to_gradient: np.ndarray  #: (n,) over that of minus the pressure gradient [m^3 s/kg]
+
+
 class PressureSystem(NamedTuple):
     """Eliminated cells, and the Poisson equation that follows."""
 

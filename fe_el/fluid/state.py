@@ -3,7 +3,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fe_el.fluid.records import Masses, Memory, Step
+from fe_el.fluid.records import Masses, Memory, SolidsAnswer, Step
 
 CELLS = ("gain", "fades", "drag_gain", "last_drag", "rate", "void_fraction", "last_flux")
 NODES = ("nodal_velocity", "force", "nodal_gain", "slip_force", "past_pressures", "last_force", "last_change")
@@ -78,6 +78,7 @@ class StepState:
     source: np.ndarray  #: (n, d) B [N/m^3]
     share: np.ndarray  #: (n,) of pressure gradient and body force that the fluid takes
     handed: np.ndarray | None  #: (n,) of the gradient of the solved pressure, which light particles hand on; None: none
+    answer: SolidsAnswer | None  #: of crowded particles that move with the fluid; None: none
     velocity: np.ndarray  #: (n, d) q, of the cells at the start [m/s]
     masses: Masses  #: of the cells
     damping: np.ndarray  #: (n,) part of the velocity that drag takes
@@ -102,6 +103,7 @@ class StepState:
     taken: np.ndarray = field(init=False)  #: (m, d) what of it was taken off again [N]
     # 4. projection
     supply: np.ndarray = field(init=False)  #: (n,) volume that cells give off per volume and time, at the end [1/s]
+    answered: np.ndarray = field(init=False)  #: (n, d) by how much the solids' volume flux has changed [m/s], if they answer
     inflow: np.ndarray = field(init=False)  #: (m,) volume per time that inlets let in, at the end [m^3/s]
 
     @property

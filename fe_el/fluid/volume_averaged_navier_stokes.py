@@ -15,7 +15,7 @@ from fe_el.fluid.continuity import Ledger
 from fe_el.fluid.drag_in_transport import DragInTransport
 from fe_el.fluid.pressure_equation import PressureEquation
 from fe_el.fluid.projection import Projection
-from fe_el.fluid.records import Masses, Memory, Step
+from fe_el.fluid.records import Masses, Memory, SolidsAnswer, Step
 from fe_el.fluid.saved_fluid import SavedFluid
 from fe_el.fluid.state import FluidState, StepState
 from fe_el.fluid.transport import Transport
@@ -137,7 +137,9 @@ class VolumeAveragedNavierStokes(Transport, Projection, Ledger, SavedFluid):
         Args:
             fields: (void fraction, drag coefficient A, momentum source B): two DG0 Functions and a DG0 vector Function,
                 for instance ``Coupling.fields``; absent: single-phase flow. A fourth, DG0, is the share of the gradient of
-                the solved pressure that the fluid takes beside the void fraction: what light particles hand on to it.
+                the solved pressure that the fluid takes beside the void fraction: what light particles hand on to it. A
+                fifth and sixth, DG0: what the solids' volume flux answers to a change of the fluid's velocity and of minus
+                the pressure gradient [m^3 s/kg] within the step.
             pressure_share: part (cells,) of pressure gradient and body force that the fluid takes; absent: the void
                 fraction.
 
@@ -182,6 +184,7 @@ class VolumeAveragedNavierStokes(Transport, Projection, Ledger, SavedFluid):
             before=phi0, after=phi, rate=rate, last_rate=state.rate, drag=drag, source=source,
             share=phi if pressure_share is None else pressure_share,
             handed=fields[3].x.array[:n] if fields is not None and len(fields) > 3 else None,
+            answer=SolidsAnswer(*(f.x.array[:n] for f in fields[4:])) if fields is not None and len(fields) > 4 else None,
             velocity=q, masses=masses, damping=damping, moves=moves,
             memory=Memory(state.gain, state.nodal_gain, state.fades, work.empty("left", n), work.empty("lag", n)))
 
