@@ -1,17 +1,22 @@
-"""Error against run time of the demos: the shared report with numbers that are known, and every demo's own, small."""
+"""Error against run time of the demos: the shared report with numbers that are known, every demo's own, small, and the page
+that says what to choose against the tables that it was written from."""
 import csv
 import os
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from demos import (
+    bed_report,
     contacts_only,
     flow_past_cylinder,
     minimum_fluidisation,
     mri_bed,
     own_weak_form,
     reports,
+    salzman_report,
     sedimenting_suspension,
     turbulent_channel,
 )
@@ -102,3 +107,107 @@ def test_report_of(folder, name):
             assert row[quantity] != "" and float(row[quantity + "_error"]) >= 0
             assert not isinstance(right, float) or float(row[quantity + "_reference"]) == right
     assert 0 < os.path.getsize(folder + "/report.png") < 100_000
+
+
+DEMOS = Path(__file__).resolve().parents[1] / "demos"
+TABLES = {  # file: module, report
+    "contacts_only_report.csv": (contacts_only, "discharge"), "own_weak_form_report.csv": (own_weak_form, "fall"),
+    "flow_past_cylinder_steady_report.csv": (flow_past_cylinder, "steady"),
+    "flow_past_cylinder_shedding_report.csv": (flow_past_cylinder, "shedding"),
+    "minimum_fluidisation_report.csv": (minimum_fluidisation, "ramp"), "mri_bed_report.csv": (mri_bed, "voidage"),
+    "turbulent_channel_report.csv": (turbulent_channel, "friction"),
+    "sedimenting_suspension_report.csv": (sedimenting_suspension, "slip")}
+
+
+def number(text):
+    """A number where it is one."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def rows_of(name):
+    """Rows of a table of the demos."""
+    with open(DEMOS / name) as file:
+        return [{k: number(v) for k, v in row.items()} for row in csv.DictReader(file)]
+
+
+def page():
+    """Rows of the page "choosing a scheme, a mesh and a step", by the file that each links: choose, error, cost, dearest."""
+    text = (DEMOS / "README.md").read_text().split("## Choosing a scheme, a mesh and a step")[1]
+    lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if ".csv](" in line]
+    return {re.search(r"\((.*\.csv)\)", cells[-1])[1]: cells for cells in lines if len(cells) == 8}
+
+
+def near(text, value):
+    """Whether the first number of a text is a value as rounded there."""
+    found = re.search(r"[0-9.]+", text)[0].rstrip(".")
+    return abs(float(found) - value) <= 0.5001 * 10.0 ** -len(found.partition(".")[2]) + 0.02 * value * ("." not in found)
+
+
+@pytest.mark.parametrize("file", TABLES)
+def test_tables_are_those_of_the_reports(file):
+    """Every table has the runs of its command, every error its reference; the page says what the report recommends."""
+    module, which = TABLES[file]
+    report, rows, line = module.REPORTS[which], rows_of(file), page()[file]
+    assert len(rows) == len(report.settings)
+    for row, setting in zip(rows, report.settings):
+        for name, value in setting.items():
+            value = "x".join(map(str, value)) if isinstance(value, tuple) else value
+            assert row[name] == (str(value) if isinstance(value, bool) else value)
+        for name, right in report.quantities.items():
+            there = row[f"{name}_reference"]
+            assert there == (rows[report.reference][name] if right is None else right if isinstance(right, float) else there)
+            assert row[f"{name}_error"] == pytest.approx(abs(row[name] - there) / (abs(there) or 1.0), rel=1e-9, abs=1e-12)
+    varied = list(dict.fromkeys(name for setting in report.settings for name in setting))
+    words, best = reports.in_words(rows, report, varied)
+    assert ("nearest" in words) == ("nearest" in line[3])
+    error, (_, spread) = rows[best]["error"], reports.chance(rows, report)
+    assert near(line[4], 100 * error if "%" in line[4] else error)
+    if spread:
+        assert near(line[4].split("seed: ")[1], 100 * spread if "%" in line[4] else rows[1]["error"])
+    assert near(line[5], rows[best]["processor_s"]) and near(line[6], max(r["processor_s"] for r in rows))
+
+
+def test_what_the_page_chooses():
+    """The options that it names are those of the recommended runs."""
+    lines = page()
+    assert set(lines) == {*TABLES, "bed_report.csv", "jet_in_cross_flow.csv", "salzman_report.csv"}
+    for file, words in (("contacts_only_report.csv", "{stiffness:g} N/m, {steps_per_contact:g} steps"),
+                        ("flow_past_cylinder_steady_report.csv", "{around:g} segments, {time_step:g} s"),
+                        ("own_weak_form_report.csv", "{cells:g} cells, {time_step:g}")):
+        module, which = TABLES[file]
+        rows = rows_of(file)
+        best = rows[reports.in_words(rows, module.REPORTS[which], list(module.REPORTS[which].settings[0]))[1]]
+        assert words.format(**best).split(", ")[0] in lines[file][3]
+    for file, rows in ((f, rows_of(f)) for f in lines):
+        assert (DEMOS / file).with_suffix(".png").exists() or file == "jet_in_cross_flow.csv"
+        assert rows
+
+
+def test_the_bed_and_the_jets():
+    """Their reports have tables of their own kind."""
+    lines, beds = page(), rows_of("bed_report.csv")
+    assert [(r["time_step_s"], r["steps_per_contact"], r["cell_size_m"]) for r in beds] == list(bed_report.SETTINGS)
+    best, line = bed_report.recommended(beds), lines["bed_report.csv"]
+    assert line[3] == "{:g} ms, {:g} steps, {:g} mm".format(
+        1e3 * best["time_step_s"], best["steps_per_contact"], 1e3 * best["cell_size_m"])
+    assert near(line[4], 100 * max(abs(d) for d, _ in bed_report.deviations(best, beds[0]).values()))
+    assert near(line[5], best["seconds"]) and near(line[6], max(r["seconds"] for r in beds))
+    jets, line = [r for r in rows_of("jet_in_cross_flow.csv") if r["cells"] == 12600], lines["jet_in_cross_flow.csv"]
+    exact = next(r for r in jets if (r["coupling"], r["time_step_s"]) == ("conservative", 4.9e-5))
+    good = [r for r in jets if r["stable"] == "True" and abs(r["penetration"] / exact["penetration"] - 1) < 0.05]
+    best = min(good, key=lambda r: r["processor_milliseconds_per_step"] * r["steps"])
+    assert line[3] == f"{best['coupling']}, {1e6 * best['time_step_s']:g} us"
+    assert near(line[4], 100 * abs(best["penetration"] / exact["penetration"] - 1))
+    for cell, row in ((line[5], best), (line[6], exact)):
+        assert near(cell, 1e-3 * row["processor_milliseconds_per_step"] * row["steps"])
+    heights, line = rows_of("salzman_report.csv"), lines["salzman_report.csv"]
+    best = next(r for r in heights if (r["edges_across_nozzle"], r["coarse_graining"], r["time_step_s"]) == (3, 25, 4e-4))
+    assert [(r["edges_across_nozzle"], r["coarse_graining"], r["time_step_s"], r["smoothing_length_m"] > 0)
+            for r in heights] == list(salzman_report.SETTINGS)
+    assert best["deviation"] < salzman_report.WITHIN and best["processor_s"] == min(
+        r["processor_s"] for r in heights if r["deviation"] < salzman_report.WITHIN)
+    assert near(line[4], 100 * best["deviation"]) and near(line[5], best["processor_s"])
+    assert near(line[6], heights[0]["processor_s"])
