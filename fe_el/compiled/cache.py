@@ -14,8 +14,11 @@ from pathlib import Path
 import numba
 from numba.core import config
 
+from fe_el.compiled.parts import Compiler
+
 ROOT = Path(__file__).parents[2]
 IMPORT = re.compile(r"^ *(?:from (fe_el[.\w]*) import (.+)|import (fe_el[.\w]*))", re.MULTILINE)
+COMPILED = re.compile("njit|compiled.parts|intrinsic")
 BASE = config.CACHE_DIR or os.path.join(os.environ.get("XDG_CACHE_HOME", os.path.expanduser("~/.cache")), "fe_el", "numba")
 
 
@@ -42,7 +45,7 @@ def _state(path):
         file = ahead.pop()
         if file not in seen:
             seen[file], files = _imports(file)
-            if file == path or "njit" in seen[file] or "intrinsic" in seen[file]:
+            if file == path or COMPILED.search(seen[file]):
                 ahead += files
     return hashlib.md5("".join(seen[file] for file in sorted(seen)).encode()).hexdigest()[:12]
 
@@ -54,7 +57,7 @@ def njit(*function, **options):
         if path is not None:
             config.CACHE_DIR = os.path.join(BASE, numba.__version__, _state(path))
         try:
-            return numba.njit(cache=True, **options)(function)
+            return numba.njit(cache=True, pipeline_class=Compiler, no_cfunc_wrapper=True, **options)(function)
         finally:
             config.CACHE_DIR = kept
     return compiled(*function) if function else compiled

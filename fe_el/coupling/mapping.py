@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from fe_el.checks import numbers
 from fe_el.compiled.cache import njit
+from fe_el.compiled.parts import part
 from fe_el.coupling.overlap import OverlapVolume
 from fe_el.coupling.shares import ListedShares
 from fe_el.particles.location import INSIDE, walk
@@ -36,7 +37,7 @@ def cfdem_points() -> np.ndarray:
     return np.vstack([np.zeros((1, 3)), INNER * directions, OUTER * directions])
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def _cut_facets(barycentric, c, x, y, z, r, cut, at):
     """Facets of cell c that a sphere reaches, and the barycentric coordinate of its centre there; returns their number."""
     cuts = 0
@@ -58,7 +59,7 @@ def _inside(barycentric, c, x, y, z):
     return inside
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def _outside(barycentric, c, r, points, cuts, cut, at, low, out, facet):
     """Points of a sphere outside its cell: fills ``out`` and the facet that each is farthest beyond; returns their
     number."""

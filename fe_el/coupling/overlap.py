@@ -6,6 +6,7 @@ import numpy as np
 from fe_el.compiled.borrowed import borrowed
 from fe_el.compiled.cache import njit
 from fe_el.compiled.direct_calls import Direct
+from fe_el.compiled.parts import part
 from fe_el.coupling.shares import ListedShares, in_order
 from fe_el.coupling.sphere_cuts import FAST, U, place_edges, take_edges
 from fe_el.particles.location import MANY, curve_through, order_by_cell
@@ -62,7 +63,7 @@ def cell_records(cells):
     return out.ravel(), neighbour.ravel()
 
 
-@njit(fastmath=FAST, error_model="numpy", forceinline=True)
+@part(fastmath=FAST, error_model="numpy", forceinline=True)
 def _visit(cells, slot, place, r, number, shares, notes, count, e):
     """Walk from a sphere's cell through the facets that it touches; what a facet's edges take is left to be done.
 
@@ -130,7 +131,7 @@ def _visit(cells, slot, place, r, number, shares, notes, count, e):
     return known if fits else U(0), count, e
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@part(fastmath=FAST, error_model="numpy")
 def _keep_parts(raw, first, last, start, index, weight):
     """Shares of the spheres first to last from their parts in the cells, which stand from raw[k] on."""
     end = U(start[first])

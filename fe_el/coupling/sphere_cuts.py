@@ -1,7 +1,7 @@
 """Parts of a unit sphere beyond planes and edges, as loops without branches."""
 import numpy as np
 
-from fe_el.compiled.cache import njit
+from fe_el.compiled.parts import part
 
 FAST = {"contract", "reassoc", "nsz", "arcp"}
 BALL = 4 * np.pi / 3  # volume of a sphere, in cubed radii
@@ -23,7 +23,7 @@ def _arctangent_series(terms=10):
 C0, C1, C2, C3, C4, C5, C6, C7, C8, C9 = _arctangent_series()
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@part(fastmath=FAST, error_model="numpy")
 def _angle(y, x):
     """Angle of the vector (x, y), with y not negative, from the x axis: 0 to pi."""
     a = abs(x)
@@ -39,7 +39,7 @@ def _angle(y, x):
     return np.pi - angle if x < 0 else angle
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@part(fastmath=FAST, error_model="numpy")
 def place_edges(corner, notes, number):
     """Complete ``edge``: distances of the plane, and of the edge from the foot of the centre, where it begins and ends from
     there, times its length over the radius, and the square of the length."""
@@ -57,7 +57,7 @@ def place_edges(corner, notes, number):
             edge[2, e], edge[3, e], edge[4, e] = along * geometry[k, 4], (along + square) * geometry[k, 4], square
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@part(fastmath=FAST, error_model="numpy")
 def take_edges(edge, cut, code, number, weight):
     """Give back what of the part beyond each facet's plane lies beyond its edges: that in the cone through it is left.
 

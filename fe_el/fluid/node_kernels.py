@@ -2,6 +2,7 @@
 from fe_el.compiled.cache import njit
 from fe_el.compiled.direct_calls import Direct
 from fe_el.compiled.for_each_dimension import FAST
+from fe_el.compiled.parts import part
 
 
 @njit(fastmath=FAST)
@@ -135,7 +136,7 @@ def misses(past, last, new, out):
         past[i, 0], past[i, 1], past[i, 2] = last[i], a, b
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def take_normal(u, i, normal):
     """Take the normal part of one node, in place; returns that part."""
     along = 0.0

@@ -3,6 +3,7 @@ import numpy as np
 
 from fe_el.compiled.cache import njit
 from fe_el.compiled.for_each_dimension import FAST, D, M, by_dimension
+from fe_el.compiled.parts import part
 from fe_el.fluid import node_kernels
 from fe_el.fluid.boundary_conditions import Boundaries
 from fe_el.fluid.records import Faded
@@ -12,7 +13,7 @@ CUT = 4.0  # Courant number times two from which the last step's gain is not tru
 VISCOUS = (6.0, 80.0)  # viscous fading rate times h^2 / nu on triangles, tetrahedra: measured, see :func:`mass_and_misfit`
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def fading_rate(speed_squared, h, nu, viscous):
     """Rate at which what a cell's neighbours do not share is carried off: by convection, and ``viscous`` nu / h^2 [1/s]."""
     return 2.0 * np.sqrt(speed_squared) / h + viscous * nu / (h * h)
@@ -25,7 +26,7 @@ def relaxation_rate(speed_squared, h, nu):
     return 4.0 * np.sqrt(speed_squared) / h + nu / (h * h)
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def relaxation_rate_at_wall(speed_squared, h, nu):
     """The same for nodes on no-slip walls: the cells lie on one side of them, so where the mesh resolves the layer what
     these share is no error of the nodes; where convection is far faster than viscosity the nodes follow as others do."""
@@ -33,19 +34,19 @@ def relaxation_rate_at_wall(speed_squared, h, nu):
     return convection * convection / (convection + 16.0 * nu / (h * h) + 1e-300)
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def left_of(x):
     """What is left after a time x of something that fades at a rate of one: exp(-x) to the third order."""
     return 1.0 / (1.0 + x * (1.0 + x * (0.5 + x / 6.0)))
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def lag_of(left, x):
     """1 - (1 - left) / x with left = left_of(x): the part of a step that a steady gain misses of its fading."""
     return left * x * (0.5 + x * (1.0 / 3.0 + x / 6.0))
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def trust(convective, fading, damping):
     """Part of a lag to be taken: less in steps that are long against the fading by convection (``convective``: two Courant
     numbers).

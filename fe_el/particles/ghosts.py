@@ -7,6 +7,7 @@ from mpi4py import MPI
 
 from fe_el.compiled.cache import njit
 from fe_el.compiled.direct_calls import Direct
+from fe_el.compiled.parts import part
 from fe_el.parallel.messages import exchange, messages_of, ranks_of
 from fe_el.particles.contacts.neighbours import bounds
 
@@ -47,7 +48,7 @@ def pack(rows, x, state, out):
             out[n, k], out[n, 3 + k], out[n, 6 + k] = x[i, k], state[i, 1 + k], state[i, 4 + k]
 
 
-@njit
+@part
 def unpack(packed, shift, first, owned, x, state):
     """Set ghosts from ``first`` on to what was packed, shifted for periodic images."""
     for n in range(len(packed)):

@@ -2,6 +2,7 @@
 import numpy as np
 
 from fe_el.compiled.cache import njit
+from fe_el.compiled.parts import part
 from fe_el.particles.contacts.neighbours import morton_code
 
 INSIDE = 0.0  # the cells' maps are moved a little, so that a point on a facet belongs to one cell
@@ -9,7 +10,7 @@ AT_BOUNDARY = -1e-8  # a point on the boundary counts as inside
 MANY = 50_000  # particles, from which cells of particles in any order no longer stay in the caches
 
 
-@njit
+@part
 def lowest_coordinate(barycentric, cell, x, y, z):
     """Facet with the lowest barycentric coordinate of a point, and that coordinate."""
     facet, lowest = 0, 1e300

@@ -19,7 +19,7 @@ from fe_el.particles.contacts.network import network_of
 from fe_el.particles.contacts.records import Assembly, Drift, Near
 from fe_el.particles.contacts.saved_contacts import SavedContacts
 from fe_el.particles.contacts.step_limit import step_limit
-from fe_el.particles.contacts.sub_steps import all_forces, near_numbers, sub_steps, wall_forces
+from fe_el.particles.contacts.sub_steps import forces_of_walls, near_numbers, sub_steps
 from fe_el.particles.contacts.wall_shapes import FacetWalls, move_walls, note_forces, push_walls
 from fe_el.particles.contacts.wall_surfaces import carry_facets
 from fe_el.particles.particles import Particles
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from fe_el.particles.contacts.wall_shapes import _Wall
 
 _kick, _drift_on = Direct(velocity_verlet.kick), Direct(velocity_verlet.drift_on)
-_sub_steps, _all_forces, _near_numbers, _wall_forces = map(Direct, (sub_steps, all_forces, near_numbers, wall_forces))
+_sub_steps, _near_numbers, _forces_of_walls = map(Direct, (sub_steps, near_numbers, forces_of_walls))
 
 
 class Contacts(SavedContacts, ContactChecks):
@@ -274,8 +274,11 @@ class Contacts(SavedContacts, ContactChecks):
         if isinstance(self.law, ArrayLaw):
             return self._array_forces(h, moved)
         lists, none = self.lists, np.zeros((0, 4))
-        self.touching, behind, self.largest_overlap, *near = _all_forces(
-            self._assembly(Drift(none, none[:, 0], none, none)), lists.near, moved, self.step, h, self.largest_overlap)
+        if moved:
+            lists.near = Near(*_near_numbers(moved, lists.candidates, lists.near))
+        _, _, self.touching, behind, self.largest_overlap, *near = _sub_steps(
+            0, h, lists.age, (lists.wall_rate, lists.wall_room), self._assembly(Drift(none, none[:, 0], none, none)),
+            lists.ghosts.rows(), lists.tiles, lists.near, self.step, self.largest_overlap)
         lists.near = Near(*near)
         self.behind = behind if behind >= 0 else self.behind
         note_forces(lists.load, self.wall_impulse)
@@ -288,8 +291,8 @@ class Contacts(SavedContacts, ContactChecks):
         if self.walls:
             lists.near = Near(*_near_numbers(moved, lists.candidates, lists.near))
             listed = lists.candidates.wall_listed[:lists.near.facets]
-            touching_walls, behind = _wall_forces(lists.rows, listed, lists.near_facets, lists.shape_entries(), walls,
-                                                  self.wall_block, self.wall_law.numbers, self.step, h)
+            touching_walls, behind = _forces_of_walls(lists.rows, listed, lists.near_facets, lists.shape_entries(), walls,
+                                                      self.wall_block, self.wall_law.numbers, self.step, h)
             self.behind = behind if behind >= 0 else self.behind
         touching, overlap = array_forces(self.law, lists.rows, lists.pairs, self.step, h)
         note_forces(lists.load, self.wall_impulse)

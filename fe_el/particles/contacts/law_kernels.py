@@ -5,6 +5,7 @@ What the rows of a block hold is in :mod:`fe_el.particles.contacts.blocks`.
 import math
 
 from fe_el.compiled.cache import njit
+from fe_el.compiled.parts import part
 from fe_el.particles.contacts import blocks as row
 from fe_el.particles.contacts.blocks import BLOCK
 
@@ -12,7 +13,7 @@ FAST = {"contract", "reassoc", "nsz", "arcp"}  # no finite-math assumption: NaN 
 LAG = 0.48  # what a sub-step h adds to the damping, over h^2 k / m*: 0.38 to 0.56 for restitutions from 0.1 to 0.97
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@part(fastmath=FAST, error_model="numpy")
 def geometry(b, m):
     """Normal, distance, overlap, relative velocity at the contact and along the normal, and arm from what came on entry."""
     for n in range(m):
@@ -36,7 +37,7 @@ def geometry(b, m):
         b[n + row.NORMAL_VELOCITY] = ux * nx + uy * ny + uz * nz
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@part(fastmath=FAST, error_model="numpy")
 def linear(b, m, h):
     """Linear spring-dashpot: F_n = k overlap - eta v_n, eta less by ``LAG`` for the sub-step h.
 
@@ -53,7 +54,7 @@ def linear(b, m, h):
         b[n + row.NORMAL_STIFFNESS] = k
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@part(fastmath=FAST, error_model="numpy")
 def hertz(b, m, h):
     """Hertz-Mindlin: F_n = 4/3 E* sqrt(R* d) d, k_t = 8 G* sqrt(R* d), damping of constant restitution (Tsuji et al.
     1992), less by ``LAG`` for the sub-step h."""
@@ -70,7 +71,7 @@ def hertz(b, m, h):
         b[n + row.NORMAL_STIFFNESS] = k
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@part(fastmath=FAST, error_model="numpy")
 def tangential(b, m, h):
     """Tangential spring with Coulomb's cap; the spring keeps what really slipped, so sliding never stores energy."""
     for n in range(m):
@@ -111,7 +112,7 @@ def cohesion(b, m):
         b[n + row.FORCE_Z] -= pull * b[n + row.NORMAL_Z]
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@part(fastmath=FAST, error_model="numpy")
 def adhesion(b, m):
     """Attraction of touching surfaces, F = -2 pi R* W (Derjaguin, Mueller & Toporov 1975); W in J/m^2. Adds to the normal
     force."""
@@ -122,7 +123,7 @@ def adhesion(b, m):
         b[n + row.FORCE_Z] -= pull * b[n + row.NORMAL_Z]
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@part(fastmath=FAST, error_model="numpy")
 def rolling(b, m, h, elastic, torsion):
     """Rolling friction of at most mu_r R* F_n against the relative rotation w1 - w2; with torsion 1 also about the normal,
     else 0.
@@ -158,7 +159,7 @@ def rolling(b, m, h, elastic, torsion):
         b[n + row.ROLLING_TORQUE_Z] = -q * tz
 
 
-@njit
+@part
 def apply_law(b, m, h, numbers):
     """The built-in law of a block, with cohesion and rolling friction where they are present."""
     geometry(b, m)
@@ -182,7 +183,7 @@ def constant_rows(b, numbers):
         material_row(b, n, numbers, 0, 0)
 
 
-@njit(forceinline=True)
+@part(forceinline=True)
 def stiffness_of_parcel(b, n, numbers, stiffness, inverse_mass, reduced_radius):
     """Stiffness of a contact of parcels, with which it lasts as long as one of their particles with the law's.
 
@@ -196,13 +197,13 @@ def stiffness_of_parcel(b, n, numbers, stiffness, inverse_mass, reduced_radius):
     b[n + row.STIFFNESS] = ratio * stiffness
 
 
-@njit(forceinline=True)
+@part(forceinline=True)
 def uniform(numbers):
     """Whether there is one material only."""
     return numbers.table.shape[0] == 1 and numbers.table.shape[1] == 1
 
 
-@njit(forceinline=True)
+@part(forceinline=True)
 def material_row(b, n, numbers, first, second):
     """Stiffness to damping ratio, rolling friction and attraction of one contact from the material table."""
     for k in range(5):

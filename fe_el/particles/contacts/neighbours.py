@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fe_el.compiled.cache import njit
+from fe_el.compiled.parts import part
 
 
 class Grids(NamedTuple):
@@ -67,7 +68,7 @@ def _classes(radius, smallest, count):
     return level, largest[there]
 
 
-@njit
+@part
 def _box(x, i, grids, g):
     """Indices of the box of a grid that holds particle i."""
     lower, size, shape = grids.lower, grids.size, grids.shape
@@ -97,7 +98,7 @@ def _sorted_by_box(x, radius, level, grids):
     return order, rows, start
 
 
-@njit
+@part
 def _pairs_with(n, begin, end, rows, order, owned, first, second, number):
     """Pairs of entry n with the entries from begin to end, one of the two owned; returns the number of pairs so far.
 
@@ -113,7 +114,7 @@ def _pairs_with(n, begin, end, rows, order, owned, first, second, number):
     return number
 
 
-@njit
+@part
 def _few(start, size, offset):
     """Whether the particles of a coarser class are so few that they had better search the finer one: (finer, coarser)."""
     few = np.zeros((len(size), len(size)), np.bool_)
@@ -125,7 +126,7 @@ def _few(start, size, offset):
     return few
 
 
-@njit
+@part
 def _pairs_of_few(g, coarse, cloud, grids, owned, first, second, number):
     """Pairs of the particles of a coarser class with those of class g; returns the number of pairs so far."""
     order, rows, start = cloud.order, cloud.rows, cloud.start

@@ -6,6 +6,7 @@ time; the last four of a block are filled up with copies of the last contact, wh
 import numpy as np
 
 from fe_el.compiled.cache import njit
+from fe_el.compiled.parts import part
 from fe_el.compiled.rows_of_four import (
     block_to_rows,
     difference_to_block,
@@ -22,13 +23,13 @@ from fe_el.particles.contacts.law_kernels import FAST, apply_law, stiffness_of_p
 MANY = 60000  # particles whose rows do not fit into the near caches
 
 
-@njit(fastmath=FAST, forceinline=True)
+@part(fastmath=FAST, forceinline=True)
 def four_of(array, k):
     """Entries of an array, as a tuple of four."""
     return array[k[0]], array[k[1]], array[k[2]], array[k[3]]
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def gather(b, m, at, pairs, state, step):
     """Fill the rows of a block of m contacts (a multiple of four), the pairs ``at`` of the list."""
     first, second, spring, stamp = pairs.first, pairs.second, pairs.spring, pairs.stamp
@@ -46,7 +47,7 @@ def gather(b, m, at, pairs, state, step):
         b[n + 2 + row.CARRY], b[n + 3 + row.CARRY] = 0.5 * keep[2], 0.5 * keep[3]
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def gather_rolling(b, m, at, pairs, state):
     """Difference of the rotations and rolling springs of contacts that are gathered."""
     first, second, spring = pairs.first, pairs.second, pairs.spring
@@ -58,7 +59,7 @@ def gather_rolling(b, m, at, pairs, state):
             b[n + row.ROLLING_X + q * BLOCK] = keep * spring[k, 4 + q]
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def gather_material(b, m, at, pairs, material, numbers):
     """Rows of the material table, where pairs differ in it; those from the reduced radius to TURN_Y are overwritten."""
     first, second = pairs.first, pairs.second
@@ -77,7 +78,7 @@ def gather_material(b, m, at, pairs, material, numbers):
             b[n + row.ROLLING_FRICTION], b[n + row.ATTRACTION] = table[i, j, 5], table[i, j, 6]
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@part(fastmath=FAST, error_model="numpy")
 def reduced_radius(b, m):
     """Reduced radius from the sum and the difference of the radii."""
     for n in range(m):
@@ -85,7 +86,7 @@ def reduced_radius(b, m):
         b[n + row.REDUCED_RADIUS] = 0.25 * (total * total - difference * difference) / total
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@part(fastmath=FAST, error_model="numpy")
 def gather_parcels(b, m, at, pairs, rows, numbers):
     """Stiffnesses, where particles are parcels, of contacts whose reduced mass and radius are known."""
     one = uniform(numbers)
@@ -96,7 +97,7 @@ def gather_parcels(b, m, at, pairs, rows, numbers):
         stiffness_of_parcel(b, n, numbers, stiffness, rows.parcel[i, 0] + rows.parcel[j, 0], p * q / (p + q))
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@part(fastmath=FAST, error_model="numpy")
 def deepest_overlap(b, m, deepest):
     """The larger of ``deepest`` and the overlaps over the smaller diameter, of contacts whose law has been applied."""
     deeper = False
@@ -108,7 +109,7 @@ def deepest_overlap(b, m, deepest):
     return deepest
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def scatter(b, m, at, pairs, state, force):
     """Give both particles of each contact of a block their force and torque, and the pair its springs."""
     first, second, spring = pairs.first, pairs.second, pairs.spring
@@ -121,7 +122,7 @@ def scatter(b, m, at, pairs, state, force):
         block_to_rows(b, n + row.SPRING_X, spring, width, k)
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def scatter_rolling(b, m, at, pairs, force):
     """Rolling torques and springs."""
     first, second, spring = pairs.first, pairs.second, pairs.spring
@@ -134,7 +135,7 @@ def scatter_rolling(b, m, at, pairs, force):
             force[j, 4 + q] -= b[n + row.ROLLING_TORQUE_X + q * BLOCK]
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def next_block(b, at, rows, listed, pairs, start):
     """Distances of the ``listed`` pairs that touch, from entry ``start`` on: (their number, where the block was full)."""
     x, radius, first, second = rows.x, rows.radius, pairs.first, pairs.second
@@ -152,7 +153,7 @@ def next_block(b, at, rows, listed, pairs, start):
     return m, n
 
 
-@njit
+@part
 def fetch_rows(m, at, pairs, state, force):
     """Ask for what a block of contacts will need, while the processor is still busy with what came before."""
     second, spring = pairs.second, pairs.spring
@@ -163,7 +164,7 @@ def fetch_rows(m, at, pairs, state, force):
         fetch_row(spring, spring.shape[1], k)
 
 
-@njit
+@part
 def fill_up(b, m, at):
     """Copy the last contact of a block until their number is a multiple of four, and return that."""
     full = (m + 3) // 4 * 4
@@ -174,7 +175,7 @@ def fill_up(b, m, at):
     return full
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def pair_forces(rows, listed, pairs, block, numbers, step, h, deepest):
     """Add the contact forces of the ``listed`` pairs, with a block whose constant rows are filled.
 

@@ -5,6 +5,7 @@ import numpy as np
 
 from fe_el.compiled.borrowed import borrowed
 from fe_el.compiled.cache import njit
+from fe_el.compiled.parts import part
 from fe_el.parallel.messages import largest
 from fe_el.particles.contacts.pair_forces import pair_forces
 from fe_el.particles.contacts.records import Near, ShapeRows
@@ -16,7 +17,7 @@ from fe_el.particles.contacts.waves import part_of, refresh_images, wave_length
 from fe_el.particles.ghosts import forward_state
 
 
-@njit
+@part
 def prune(gap, reach, near):
     """List the pairs whose gap was less than ``reach``; returns their number."""
     number = 0
@@ -26,7 +27,7 @@ def prune(gap, reach, near):
     return number
 
 
-@njit
+@part
 def update_near(moved, candidates, near):
     """Widen the lists of what may touch, particles having moved by up to ``sqrt(moved)`` of their room: ``near`` anew."""
     need = math.sqrt(moved)
@@ -45,7 +46,7 @@ def near_numbers(moved, candidates, near):
     return near.reach, near.pairs, near.facets
 
 
-@njit
+@part
 def wall_forces(rows, listed, facets, shapes, walls, block, numbers, step, h):
     """Forces of facets, planes and cylinders: (contacts, particle that came onto or behind a wall or -1)."""
     touching, behind = 0, -1
@@ -59,6 +60,12 @@ def wall_forces(rows, listed, facets, shapes, walls, block, numbers, step, h):
 
 
 @njit
+def forces_of_walls(rows, listed, facets, shapes, walls, block, numbers, step, h):
+    """The same for callers that are not compiled."""
+    return wall_forces(rows, listed, facets, shapes, walls, block, numbers, step, h)
+
+
+@part
 def all_forces(assembly, near, moved, step, h, deepest):
     """Forces of walls and pairs with built-in laws, when particles have moved by up to ``sqrt(moved)`` of their room.
 
@@ -75,14 +82,14 @@ def all_forces(assembly, near, moved, step, h, deepest):
     return touching + touching_walls, behind, max(deepest, a.walls.deepest[0]), near.reach, near.pairs, near.facets
 
 
-@njit
+@part
 def shapes_of(shapes, begin, end):
     """Part of the entries of planes and cylinders."""
     return ShapeRows(shapes.particle[begin:end], shapes.wall[begin:end], shapes.spring[begin:end], shapes.stamp[begin:end],
                      shapes.kind, shapes.shape)
 
 
-@njit
+@part
 def wave(number, ahead, h, assembly, ghosts, tiles, near, step, deepest):
     """``number`` sub-steps that follow each other through the tiles; displacements are meant to stay below ``ahead``,
     a share of the particles' room.
@@ -127,8 +134,8 @@ def wave(number, ahead, h, assembly, ghosts, tiles, near, step, deepest):
 
 @njit
 def sub_steps(most, h, age, room_of_walls, assembly, ghosts, tiles, near, step, deepest):
-    """Sub-steps with built-in laws, at most ``most``, until the lists are out of date; the first kick is half a step.
-    Collective.
+    """Sub-steps with built-in laws, at most ``most``, until the lists are out of date; the first kick is half a step. With
+    ``most`` zero nothing moves, and the forces are found once. Collective.
 
     ``room_of_walls`` holds the largest speed of a wall over the room it has before the lists are out of date [1/s], and that
     room [m].
@@ -142,6 +149,9 @@ def sub_steps(most, h, age, room_of_walls, assembly, ghosts, tiles, near, step, 
     loaded, (wall_rate, wall_room) = walls.load[:, 4].max() > 0, room_of_walls
     owned, made, touching, behind, stale, ahead, part = len(drift.x0), 0, 0, -1, False, 0.0, 0.5
     first, number = np.int64(0), np.int64(1)  # as literals they would be compiled for twice
+    if most == 0:
+        touching, behind, deepest, reach, pairs, facets = all_forces(assembly, near, 0.0, step, h, deepest)
+        return 0, stale, touching, behind, deepest, reach, pairs, facets
     while made < most and not stale:
         if number == 1:
             moved, speed, change = drift_on(rows, drift, part, h, first, owned)

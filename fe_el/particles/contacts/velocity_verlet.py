@@ -4,6 +4,7 @@ import math
 import numpy as np
 
 from fe_el.compiled.cache import njit
+from fe_el.compiled.parts import part
 from fe_el.particles.contacts.law_kernels import FAST
 
 
@@ -18,7 +19,7 @@ def kick(rows, inverse_inertia, h, owned):
             state[i, 4 + k] += b * force[i, 4 + k]
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def kick_and_drift(rows, drift, part, h, begin, end):
     """Kick some particles by ``part`` of a step, drift by a step, reset their forces.
 
@@ -48,7 +49,7 @@ def kick_and_drift(rows, drift, part, h, begin, end):
     return largest, fastest, hardest
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def kick_and_drift_fading(rows, drift, part, h, begin, end):
     """The same, with a part of the external force that fades; see :func:`fe_el.particles.motion.forces_in_step`."""
     x, state, force, inverse_mass = rows.x, rows.state, rows.force, rows.inverse_mass

@@ -1,7 +1,7 @@
 """Blocks of contacts with walls: rows of the particles, the law, and forces on particles and walls."""
 import numpy as np
 
-from fe_el.compiled.cache import njit
+from fe_el.compiled.parts import part
 from fe_el.compiled.rows_of_four import block_to_rows, scaled_to_block
 from fe_el.particles.contacts import blocks as row
 from fe_el.particles.contacts.blocks import BLOCK
@@ -9,7 +9,7 @@ from fe_el.particles.contacts.law_kernels import FAST, apply_law, material_row, 
 from fe_el.particles.contacts.pair_forces import fill_up, four_of
 
 
-@njit(fastmath=FAST, forceinline=True)
+@part(fastmath=FAST, forceinline=True)
 def add_contact(block, m, i, k, wall, dx, dy, dz, radius, share):
     """Contact m of a block: particle i, entry k of the list; (dx, dy, dz) points from the wall's nearest point to the
     centre; ``share`` multiplies its force."""
@@ -19,7 +19,7 @@ def add_contact(block, m, i, k, wall, dx, dy, dz, radius, share):
     b[m + row.SQUARE], b[m + row.REACH], b[m + row.SHARE] = dx * dx + dy * dy + dz * dz, radius, share
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def _gather(block, m, state, spring, stamp, step):
     """Rows of the particles and springs of m contacts, a multiple of four."""
     b, at, who = block.rows, block.at, block.particle
@@ -38,7 +38,7 @@ def _gather(block, m, state, spring, stamp, step):
             b[n + q + row.CARRY] = 0.5 * keep[q]
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def _gather_rolling(block, m, state, spring, motion):
     b, at, who, wall_of = block.rows, block.at, block.particle, block.wall
     for n in range(m):
@@ -48,7 +48,7 @@ def _gather_rolling(block, m, state, spring, motion):
             b[n + row.ROLLING_X + q * BLOCK] = 2.0 * b[n + row.CARRY] * spring[k, 4 + q]
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def _subtract_motion(block, m, x, motion):
     """Relative to walls with origin, velocity and rotation ``motion``."""
     b, who, wall_of = block.rows, block.particle, block.wall
@@ -61,7 +61,7 @@ def _subtract_motion(block, m, x, motion):
         b[n + row.VELOCITY_Z] -= wall[5] + (wall[6] * oy - wall[7] * ox)
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def _scale(b, m):
     """Multiply forces and torques by the shares of their contacts."""
     for n in range(m):
@@ -73,7 +73,7 @@ def _scale(b, m):
                 b[n + row.ROLLING_TORQUE_X + k * BLOCK] *= share
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def finish_block(block, m, rows, spring, stamp, walls, numbers, step, h):
     """Apply the law to a block of m wall contacts and give particles and walls their forces."""
     if m == 0:

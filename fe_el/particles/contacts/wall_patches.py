@@ -16,7 +16,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from fe_el.compiled.cache import njit
+from fe_el.compiled.parts import part
 
 SMOOTH = np.radians(40)
 ONE, TWO = np.cos(np.radians(45)), np.cos(np.radians(75))  # normals at less belong to one contact, at more to two
@@ -60,7 +60,7 @@ def patch_scratch(most):
     return np.empty((most, 13)), np.empty(most, np.int64)
 
 
-@njit
+@part
 def _likeness(work, i, j):
     """K of two contacts: 1 for one direction, 0 beyond."""
     c = work[i, 0] * work[j, 0] + work[i, 1] * work[j, 1] + work[i, 2] * work[j, 2]
@@ -68,7 +68,7 @@ def _likeness(work, i, j):
     return s * s * (3 - 2 * s)
 
 
-@njit
+@part
 def _weight(work, i, j, ratio):
     """A ratio of overlaps to the power q of two contacts, and q."""
     turn, q = 1 - (work[i, 0] * work[j, 0] + work[i, 1] * work[j, 1] + work[i, 2] * work[j, 2]), 1.0
@@ -77,7 +77,7 @@ def _weight(work, i, j, ratio):
     return ratio, q
 
 
-@njit
+@part
 def join_contacts(near, scratch, facet, facets, centre, radius, hertz):
     """Join the contacts of one particle within each patch; ``facet`` is that of each entry of the list.
 
@@ -113,13 +113,13 @@ def join_contacts(near, scratch, facet, facets, centre, radius, hertz):
             work[n, 12] = factor
 
 
-@njit
+@part
 def _entry(work, n, dx, dy, dz, radius):
     length = np.sqrt(dx * dx + dy * dy + dz * dz) + 1e-300  # the centre may be on the wall
     work[n, 0], work[n, 1], work[n, 2], work[n, 3] = dx / length, dy / length, dz / length, radius - length
 
 
-@njit
+@part
 def _add_plane(n, near, m, scratch, facet, facets, centre, radius):
     """Add the plane of a facet beyond a concave seam, which is about to become a contact; returns the number of entries.
 
@@ -152,7 +152,7 @@ def _add_plane(n, near, m, scratch, facet, facets, centre, radius):
     return m + 1
 
 
-@njit
+@part
 def _energy_gradient(m, at, hertz, work):
     """Force along each normal, in ``work[:, 7]``, over that of one contact with the patch's largest overlap.
 
@@ -181,7 +181,7 @@ def _energy_gradient(m, at, hertz, work):
                 work[o, 7] -= change / work[o, 4]
 
 
-@njit
+@part
 def _leaders(m, at, contact, work):
     """Keep the deepest contacts of each direction, and add up the forces of those around each, in ``work[:, 8:11]``."""
     for n in at[:m]:
@@ -208,7 +208,7 @@ def _leaders(m, at, contact, work):
             work[leader, 8 + q] += work[n, 7] * work[n, q]
 
 
-@njit
+@part
 def holds_feature(other, own, vertex, weight):
     """Whether facet ``other`` contains the edge or vertex of facet ``own`` that carries the weights; false for a face."""
     positive, sides = 0, vertex.shape[1]

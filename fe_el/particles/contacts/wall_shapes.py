@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from fe_el.checks import finite_vector, positive_number, whole_number
 from fe_el.compiled.cache import njit
+from fe_el.compiled.parts import part
 from fe_el.parallel.messages import total
 from fe_el.particles.contacts.blocks import BLOCK
 from fe_el.particles.contacts.law_kernels import FAST
@@ -151,7 +152,7 @@ class CylinderWall(_Wall):
         self.point, self.axis = point.copy(), shape[:3].copy()
 
 
-@njit(fastmath=FAST, forceinline=True)
+@part(fastmath=FAST, forceinline=True)
 def surface_point(kind, shape, origin, x, y, z):
     """Nearest point of a plane or cylinder, and the distance (negative behind the wall)."""
     dx, dy, dz = x - origin[0], y - origin[1], z - origin[2]
@@ -177,7 +178,7 @@ def shape_list(x, reach, owned, kind, shape, motion):
     return np.array(particle, dtype=np.int32), np.array(wall, dtype=np.int32)
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def shape_forces(rows, shapes, walls, block, numbers, step, h):
     """Add the contact forces of planes and cylinders; returns the number of contacts, or -1 - i where i is behind one."""
     x, radius, particle, wall = rows.x, rows.radius, shapes.particle, shapes.wall

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fe_el.compiled.cache import njit
+from fe_el.compiled.parts import part
 from fe_el.particles.contacts.blocks import BLOCK
 from fe_el.particles.contacts.law_kernels import FAST
 from fe_el.particles.contacts.records import FacetScratch
@@ -93,7 +94,7 @@ def facet_frames(corner):
     return np.column_stack([corner[:, 0], *duals, normal])
 
 
-@njit(fastmath=FAST, forceinline=True)
+@part(fastmath=FAST, forceinline=True)
 def _from_facet(frame, corner, f, x, y, z, reach):
     """Vector from the nearest point of facet f to a point, with that point's weights; only its length matters beyond
     reach."""
@@ -164,7 +165,7 @@ def scratch(particle):
                         *patch_scratch(most))
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def facet_forces(rows, listed, near_facets, walls, block, numbers, step, h):
     """Add the contact forces of the ``listed`` pairs with wall facets.
 
@@ -209,7 +210,7 @@ def facet_forces(rows, listed, near_facets, walls, block, numbers, step, h):
     return bad if bad < 0 else touching + m
 
 
-@njit
+@part
 def _hand_over(near, slot, arm, contact, spring, stamp, step):
     """Give the springs of facets that are no longer the contact to the facet the contact has rolled onto, the nearest."""
     for n in range(near):
@@ -225,7 +226,7 @@ def _hand_over(near, slot, arm, contact, spring, stamp, step):
             stamp[slot[to]] = step - 1
 
 
-@njit
+@part
 def _contacts_of(near, scratch, facet, vertex, tolerance):
     """Set which nearest points are local minima of the distance to the surface, and the first of their kind."""
     arm, weight, slot, contact = scratch.arm, scratch.weight, scratch.slot, scratch.contact

@@ -9,6 +9,7 @@ on the same lists.
 import numpy as np
 
 from fe_el.compiled.cache import njit
+from fe_el.compiled.parts import part
 from fe_el.particles.contacts import neighbours
 from fe_el.particles.contacts.records import Tiles
 
@@ -102,7 +103,7 @@ def wave_length(most, room, step, speed, change):
     return number, ahead
 
 
-@njit
+@part
 def refresh_images(which, source, shift, owned, rows):
     """Set some of the periodic images to their particles."""
     x, state, force = rows.x, rows.state, rows.force
@@ -116,7 +117,7 @@ def refresh_images(which, source, shift, owned, rows):
             force[g, q] = 0.0
 
 
-@njit
+@part
 def part_of(listed, number, at):
     """Where the entries of each tile begin among the first ``number`` of a list of places in the whole list."""
     out, n = np.empty(len(at), np.int64), 0
