@@ -14,6 +14,7 @@ from pathlib import Path
 import numba
 from numba.core import config
 
+from fe_el.compiled import compile_time  # noqa: F401 (watches what is compiled)
 from fe_el.compiled.parts import Compiler
 
 ROOT = Path(__file__).parents[2]

@@ -9,6 +9,7 @@ from typing import Any
 
 from mpi4py import MPI
 
+from fe_el.compiled.compile_time import compile_seconds
 from fe_el.parallel.exchange import raise_everywhere
 
 
@@ -39,6 +40,8 @@ def versions():
 def write_summary(folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, **numbers: Any) -> dict[str, Any]:
     """Write ``folder/summary.json`` with flat keys in SI units, ranks and versions; returns the dictionary.
 
+    ``seconds_compilation`` is the wall time that numba has compiled for on this rank, in whichever stages that was.
+
     A number that is not finite stands there as null, and a warning names it. No rank goes on before the file is there, nor
     before rank 0 has written what it wrote earlier (tables, pictures): what a run leaves can be read after it on any rank.
 
@@ -51,7 +54,7 @@ def write_summary(folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, **numbers
     """
     if not isinstance(folder, (str, Path)):
         raise ValueError(f"The folder of the summary is {folder!r}; give its name.")
-    out = {**numbers, "ranks": comm.size, **versions()}
+    out = {**numbers, "seconds_compilation": round(compile_seconds(), 3), "ranks": comm.size, **versions()}
     bad: list[str] = []
     plain = _plain(out, "", bad)
     fault = None

@@ -1,0 +1,124 @@
+"""How loops are compiled, and kept."""
+import gc
+import os
+import subprocess
+import sys
+
+import numba
+import numpy as np
+import pytest
+
+from fe_el.compiled.cache import njit
+from fe_el.compiled.compile_time import compile_seconds
+from fe_el.compiled.parts import part
+
+PACKAGE = '''
+import numpy as np
+from fe_el.compiled import cache
+cache.BASE, cache._file = {kept!r}, lambda module: {path!r}
+cache._state = lambda path: "state"
+from fe_el.compiled.parts import part
+
+@part(fastmath=True)
+def square(x):
+    return x * x
+
+@part
+def squares(x):
+    total = 0.0
+    for k in range(len(x)):
+        total += square(x[k])
+    return total
+
+@cache.njit
+def norm(x):
+    return np.sqrt(squares(x))
+
+if __name__ == "__main__":
+    print(norm(np.array([3.0, 4.0])), len(squares.signatures), len(norm.stats.cache_hits))
+'''
+
+
+@part
+def twice(x):
+    return 2 * x
+
+
+@part(error_model="numpy")
+def twice_over(x, y):
+    return twice(x) / y
+
+
+def test_a_part_is_compiled_into_its_callers():
+    @njit
+    def one(x):
+        return twice_over(x, 4.0) + twice(1)
+
+    @numba.njit
+    def other(x):
+        return twice_over(x, 0.0)
+    assert one(6.0) == 5.0
+    assert other(1.0) == np.inf
+    assert twice.nopython_signatures and twice_over.nopython_signatures
+
+
+def test_python_cannot_call_a_part():
+    with pytest.raises(TypeError):
+        twice(1.0)
+    with pytest.raises(TypeError):
+        twice(1.0)  # compiled by now
+
+
+def test_errors_of_parts_reach_the_caller():
+    @part
+    def checked(x):
+        if x < 0:
+            raise ValueError("negative")
+        return np.sqrt(x)
+
+    @njit
+    def root(x):
+        return checked(x)
+    assert root(4.0) == 2.0
+    with pytest.raises(ValueError, match="negative"):
+        root(-1.0)
+
+
+def test_a_loop_is_kept_with_its_parts(tmp_path):
+    script, kept = tmp_path / "loops.py", tmp_path / "kept"
+    script.write_text(PACKAGE.format(kept=str(kept), path=str(script)))
+    runs = [subprocess.run([sys.executable, script], capture_output=True, text=True, check=True,
+                           env={**os.environ, "NUMBA_CACHE_DIR": str(kept)}).stdout.split() for _ in range(2)]
+    assert runs == [["5.0", "1", "0"], ["5.0", "0", "1"]]
+    assert {name.split(".")[1].split("-")[0] for _, _, files in os.walk(kept) for name in files} == {"norm"}
+
+
+def test_compilation_is_timed_and_garbage_waits():
+    collected = []
+
+    def look(phase, info):
+        collected.append(phase)
+
+    @njit
+    def sum_of(x):
+        return x.sum() + twice(x[0])
+    before = compile_seconds()
+    gc.callbacks.append(look)
+    try:
+        sum_of.compile((numba.float64[::1],))
+        assert gc.isenabled() and collected.count("start") <= 1  # when it was done
+    finally:
+        gc.callbacks.remove(look)
+    assert compile_seconds() > before
+    after = compile_seconds()
+    sum_of(np.ones(3))
+    assert compile_seconds() == after
+
+
+def test_a_function_that_numba_refuses_leaves_no_trace():
+    @njit
+    def wrong(x):
+        return x.nothing_of_the_kind
+    with pytest.raises(numba.core.errors.TypingError):
+        wrong(1.0)
+    assert gc.isenabled()
