@@ -33,6 +33,11 @@ _watch = _Watch()
 event.register("numba:compile", _watch)
 
 
+def add(seconds):
+    """Count what was waited for while another process compiled [s]."""
+    _watch.seconds += seconds
+
+
 def compile_seconds() -> float:
-    """Wall time [s] that numba has compiled for in this process."""
+    """Wall time [s] that numba has compiled for in this process, or that was spent waiting for it."""
     return _watch.seconds

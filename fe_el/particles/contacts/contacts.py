@@ -10,7 +10,7 @@ from fe_el.compiled.direct_calls import Direct
 from fe_el.parallel.exchange import largest_of
 from fe_el.parallel.messages import largest, ranks_of
 from fe_el.particles import motion
-from fe_el.particles.contacts import contact_lists, velocity_verlet
+from fe_el.particles.contacts import ahead, contact_lists, velocity_verlet
 from fe_el.particles.contacts.array_law import ArrayLaw, array_forces
 from fe_el.particles.contacts.blocks import new_block
 from fe_el.particles.contacts.contact_checks import ContactChecks
@@ -19,7 +19,7 @@ from fe_el.particles.contacts.network import network_of
 from fe_el.particles.contacts.records import Assembly, Drift, Near
 from fe_el.particles.contacts.saved_contacts import SavedContacts
 from fe_el.particles.contacts.step_limit import step_limit
-from fe_el.particles.contacts.sub_steps import forces_of_walls, near_numbers, sub_steps
+from fe_el.particles.contacts.sub_steps import forces_of_walls, near_numbers
 from fe_el.particles.contacts.wall_shapes import FacetWalls, move_walls, note_forces, push_walls
 from fe_el.particles.contacts.wall_surfaces import carry_facets
 from fe_el.particles.particles import Particles
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from fe_el.particles.contacts.wall_shapes import _Wall
 
 _kick, _drift_on = Direct(velocity_verlet.kick), Direct(velocity_verlet.drift_on)
-_sub_steps, _near_numbers, _forces_of_walls = map(Direct, (sub_steps, near_numbers, forces_of_walls))
+_near_numbers, _forces_of_walls = Direct(near_numbers), Direct(forces_of_walls)
 
 
 class Contacts(SavedContacts, ContactChecks):
@@ -81,6 +81,7 @@ class Contacts(SavedContacts, ContactChecks):
             walls = FacetWalls(*walls) if len(walls) == 2 and hasattr(walls[0], "indices") else list(walls)
         self.walls = list(np.atleast_1d(np.array(walls, object))) if walls is not None else []
         self._check_parts()
+        ahead.sub_steps.begin(particles.comm.size == 1 and not isinstance(law, ArrayLaw))
         self.lists = contact_lists.ContactLists(particles, list(self.walls), skin, self._spring_width())
         self.pair_block, self.wall_block, self.ranks = new_block(), new_block(), ranks_of(particles.comm)
         self.step, self.layout, self.stale, self.time = 1, None, False, 0.0
@@ -244,7 +245,7 @@ class Contacts(SavedContacts, ContactChecks):
     def _compiled_steps(self, h, most, drift):
         """The same in one call, with a built-in law."""
         lists = self.lists
-        steps, self.stale, self.touching, behind, self.largest_overlap, *near = _sub_steps(
+        steps, self.stale, self.touching, behind, self.largest_overlap, *near = ahead.sub_steps(
             most, h, lists.age, (lists.wall_rate, lists.wall_room), self._assembly(drift), lists.ghosts.rows(), lists.tiles,
             lists.near, self.step, self.largest_overlap)
         self.step, lists.age, lists.near = self.step + steps, lists.age + steps, Near(*near)
@@ -274,11 +275,10 @@ class Contacts(SavedContacts, ContactChecks):
         if isinstance(self.law, ArrayLaw):
             return self._array_forces(h, moved)
         lists, none = self.lists, np.zeros((0, 4))
-        if moved:
-            lists.near = Near(*_near_numbers(moved, lists.candidates, lists.near))
-        _, _, self.touching, behind, self.largest_overlap, *near = _sub_steps(
+        near = Near(*_near_numbers(moved, lists.candidates, lists.near)) if moved else lists.near
+        _, _, self.touching, behind, self.largest_overlap, *near = ahead.sub_steps(
             0, h, lists.age, (lists.wall_rate, lists.wall_room), self._assembly(Drift(none, none[:, 0], none, none)),
-            lists.ghosts.rows(), lists.tiles, lists.near, self.step, self.largest_overlap)
+            lists.ghosts.rows(), lists.tiles, near, self.step, self.largest_overlap)
         lists.near = Near(*near)
         self.behind = behind if behind >= 0 else self.behind
         note_forces(lists.load, self.wall_impulse)
