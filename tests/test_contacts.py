@@ -295,27 +295,3 @@ def test_tiles_of_a_line_and_of_a_sheet():
     assert strips > 1
     for kind, most in ((tile // strips, waves.FINE + 1), (tile % strips, waves.STRIPS + 1)):
         assert np.abs(kind[:, None] - kind[None, :50])[near].max() <= most
-
-
-def test_contacts_keep_no_memory_from_step_to_step():
-    """Native memory in use after a thousand steps of beads that move, renewals of the lists included."""
-    import ctypes
-    names = ("arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks", "uordblks", "fordblks", "keepcost")
-    kind = type("Mallinfo", (ctypes.Structure,), {"_fields_": [(name, ctypes.c_size_t) for name in names]})
-    library = ctypes.CDLL("libc.so.6")
-    library.mallinfo2.restype = kind
-
-    def used():
-        now = library.mallinfo2()
-        return now.uordblks + now.hblkhd
-    mesh, tags = fe_el.box((0.02, 0.02, 0.05), (2, 2, 4))
-    beads = fe_el.Particles(mesh, 2500.0, (0, 0, -9.81))
-    beads.insert_on_lattice((0, 0, 0), (0.02, 0.02, 0.048), np.repeat([1.6e-3, 2.4e-3], [30, 15]), seed=3)
-    contacts = fe_el.Contacts(beads, fe_el.LinearSpringDashpot(500.0, 0.9, 0.1), (tags, (1, 2, 3, 4, 5)))
-    for k in range(1400):
-        if k == 400:
-            before = used()
-        if k % 200 == 0:
-            beads.gravity[:2] = 15 * np.cos(k), 15 * np.sin(k)
-        beads.advance(1e-4, contacts)
-    assert (used() - before) / 1000 < 500

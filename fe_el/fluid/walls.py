@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fe_el.compiled.cache import njit
+from fe_el.compiled.direct_calls import Direct
 from fe_el.compiled.for_each_dimension import FAST, D, M, by_dimension
 from fe_el.fluid.boundary_values import velocity_at
 
@@ -27,6 +28,7 @@ class Facets(NamedTuple):
     slope: np.ndarray   #: (facets, m) normal derivatives of the cell's basis functions [1/m]
 
 
+@Direct
 @njit(fastmath=FAST)
 def unresolved_friction(facets, volume, stress, drag, coefficient, out):
     """Add what layers thinner than the cells add to the drag of the cells behind each facet, to ``out`` (cells,) [kg/(m^3

@@ -5,6 +5,7 @@ What the rows of a block hold is in :mod:`fe_el.particles.contacts.blocks`.
 import math
 
 from fe_el.compiled.cache import njit
+from fe_el.compiled.direct_calls import Direct
 from fe_el.compiled.parts import part
 from fe_el.particles.contacts import blocks as row
 from fe_el.particles.contacts.blocks import BLOCK
@@ -176,6 +177,7 @@ def apply_law(b, m, h, numbers):
         rolling(b, m, h, numbers.rolls % 2 == 0, 1.0 if numbers.rolls > 2 else 0.0)
 
 
+@Direct
 @njit
 def constant_rows(b, numbers):
     """Fill the rows of the material, for good where there is one material only: see :func:`uniform`."""

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fe_el.compiled.cache import njit
+from fe_el.compiled.direct_calls import Direct
 from fe_el.compiled.parts import part
 
 
@@ -77,6 +78,7 @@ def _box(x, i, grids, g):
             min(max(int((x[i, 2] - lower[2]) / size[g]), 0), shape[g, 2] - 1))
 
 
+@Direct
 @njit
 def _sorted_by_box(x, radius, level, grids):
     """What a :class:`Cloud` holds, of particles of the given classes."""
@@ -145,6 +147,7 @@ def _pairs_of_few(g, coarse, cloud, grids, owned, first, second, number):
     return number
 
 
+@Direct
 @njit
 def _search(cloud, grids, owned, first, second):
     """Fill the pairs that reach each other, one of the two owned; returns their number (beyond the capacity: only counted).
