@@ -64,7 +64,8 @@ def loops(tmp_path):
     def start(cut, **settings):
         environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kept"), "PYTHONPATH": str(tmp_path), **settings}
         return subprocess.Popen([sys.executable, "-c", f"import loops; loops.main('{cut}')"], env=environment, text=True,
-                                stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+                                stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                                preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))  # jobs of a shell ignore it
 
     def run(cut="", **settings):
         process = start(cut, **settings)
