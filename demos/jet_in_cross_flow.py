@@ -130,7 +130,7 @@ class Record:
     """Velocity profiles, mean heights of the parcels against x, and the mean field of the second half of a run."""
 
     def __init__(self, scene, end_time, bins=36):
-        self.scene, self.begin, self.imbalance = scene, 0.5 * end_time, []
+        self.scene, self.coupling, self.begin, self.imbalance = scene, scene.coupling, 0.5 * end_time, []
         self.height = np.linspace(0, HEIGHT, 71)[:-1] + 0.5 * HEIGHT / 70
         points = [(x, y) for x in STATIONS for y in self.height]
         self.probe, self.average = fe_el.Probe([scene.air.velocity], points), fe_el.TimeAverage(scene.air.velocity)
@@ -138,7 +138,7 @@ class Record:
 
     def __call__(self, now, dt):
         """Look at the state after a step."""
-        self.imbalance.append(self.scene.coupling.momentum_imbalance)
+        self.imbalance.append((self.coupling.momentum_imbalance, *self.coupling.force_given, *self.coupling.force_missing))
         if now > self.begin:
             self.average.add(dt)
 
@@ -222,19 +222,19 @@ def main(coupling="conservative", time_step=4.9e-5, end_time=0.2, coarse_grainin
 def finish(output, scene, record, numbers):
     """Write curves, picture and summary."""
     p, jet, comm = scene.parcels, scene.jet, scene.mesh.comm
-    held, late = comm.allreduce(p.mass.sum()), record.imbalance[len(record.imbalance) // 2:]
+    held, errors = comm.allreduce(p.mass.sum()), np.array(record.imbalance).reshape(-1, 5)
+    late = errors[len(errors) // 2:].mean(0) if len(errors) else np.full(5, np.nan)
     numbers |= {"parcels": p.total_number, "parcels_in": jet.parcels, "parcels_left": p.left,
                 "mass_balance": abs(held + p.left_mass - jet.mass) / max(jet.mass, 1e-300),
-                "third_law_error": float(np.mean(late)) if late else None,
-                "largest_third_law_error": max(record.imbalance, default=None),
-                **fe_el.stage_seconds(scene.air, scene.coupling)}
+                "third_law_error": late[0], "largest_third_law_error": errors[:, 0].max(initial=0.0),
+                "third_law_error_of_means": np.hypot(*late[3:]) / np.hypot(*late[1:3])}
     if numbers["stable"] and len(record.rows) >= BLOCKS:
         penetration, error = record.penetration()
         numbers |= {"penetration": penetration, "penetration_error": error}
         if comm.rank == 0:
             write(Path(output), record)
             picture(Path(output), scene, record, numbers)
-    return fe_el.write_summary(output, comm, **numbers)
+    return fe_el.write_summary(output, comm, **numbers, **fe_el.stage_seconds(scene.air, scene.coupling))
 
 
 def write(folder, record):

@@ -35,8 +35,9 @@ def main(options, runs=RUNS["schemes"]):
         summary = jet.main(coupling=scheme, time_step=step, output=where, output_every=None, **(options | changes))
         row = {"coupling": scheme, "time_step_s": step, "changed": "; ".join(f"{a} {b}" for a, b in changes.items())}
         row |= {name: summary.get(name) for name in (
-            "cells", "stable", "courant", "third_law_error", "largest_third_law_error", "penetration", "penetration_error",
-            "processor_milliseconds_per_step", "wall_time", "steps", "parcels", "mass_balance")}
+            "cells", "stable", "courant", "third_law_error", "third_law_error_of_means", "largest_third_law_error",
+            "penetration", "penetration_error", "processor_milliseconds_per_step", "wall_time", "steps", "parcels",
+            "mass_balance")}
         if MPI.COMM_WORLD.rank == 0:
             profile = read(where / "profiles.csv") if summary.get("penetration") is not None else None
             first = profile if first is None else first

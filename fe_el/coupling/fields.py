@@ -3,7 +3,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from fe_el.compiled.cache import njit
+from fe_el.compiled.for_each_dimension import D, M, by_dimension
 from fe_el.dolfinx_api import dof_table, element_of, scalar_space
 
 
@@ -33,13 +33,13 @@ class CellMean:
         return np.column_stack([fem.petsc.assemble_vector(f).array / self.volume for f in self.forms])
 
 
-@njit
-def _slopes(gradient, values, dofs, out):
+@by_dimension
+def _slopes(dofs, gradient, values, out):
     """Gradients (cells, d) of a P1 field."""
     for c in range(len(dofs)):
-        for k in range(out.shape[1]):
+        for k in range(D):
             total = 0.0
-            for i in range(dofs.shape[1]):
+            for i in range(M):
                 total += gradient[c, i, k] * values[dofs[c, i]]
             out[c, k] = total
 
@@ -54,7 +54,7 @@ class PressureGradientMean:
         n = mesh.topology.index_map(d).size_local
         self.general = None
         if element == ("P", 1):
-            self.dofs = dof_table(pressure.function_space)[:n]
+            self.dofs = np.ascontiguousarray(dof_table(pressure.function_space)[:n].astype(np.int32))
             self.gradient, self.slope = barycentric[:n], np.empty((n, d))
         else:
             self.general = CellMean(mesh, ufl.grad(pressure), d)
@@ -63,5 +63,5 @@ class PressureGradientMean:
         """(owned cells, d) [Pa/m]."""
         if self.general is not None:
             return self.general()
-        _slopes(self.gradient, self.pressure.x.array, self.dofs, self.slope)
+        _slopes(self.dofs, self.gradient, self.pressure.x.array, self.slope)
         return self.slope

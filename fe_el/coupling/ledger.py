@@ -14,6 +14,7 @@ class Ledger:
         p, d = self.particles, self.dimension
         sums = sums_of(self.comm, *given, *(given + received), mass, changed)
         self.answers = bool(sums[-1] > 0)
+        self.force_given, self.force_missing = sums[:d].copy(), sums[d:2 * d].copy()
         weight = sums[-2] * np.linalg.norm(p.gravity)
         self.momentum_imbalance = float(np.abs(sums[d:2 * d]).max() / (weight or max(np.linalg.norm(sums[:d]), 1e-300)))
 
