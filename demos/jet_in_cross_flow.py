@@ -89,7 +89,7 @@ class Jet:
     def __init__(self, coupling="conservative", coarse_graining=20.0, smoothing_length=None, cells=(90, 35), refinement=2.0,
                  closure="none", slot=(0.2, 0.05), slot_air=1.0, seed=1):
         self.mesh, tags = channel(cells, refinement, slot)
-        self.air = fe_el.VolumeAveragedNavierStokes(self.mesh, tags, GAS_DENSITY, GAS_VISCOSITY,
+        self.air = fe_el.VolumeAveragedNavierStokes(self.mesh, tags, GAS_DENSITY, GAS_VISCOSITY, tolerance=1e-6,
                                                     turbulence=CLOSURES[closure]())
         self.air.set_velocity(INLET, (CROSS_FLOW, 0.0))
         self.air.set_pressure(OUTLET)
