@@ -78,8 +78,6 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
         over_filled (int): cells that were over-filled in the last step, over all ranks.
         solid_volume_error, momentum_imbalance (float): ledger of the last step, relative to the solid volume and to the
             particles' weight, that of added mass included (without gravity: to the force).
-        force_given, force_missing: (d,) [N] in the last step: what all particles got by fields of the fluid, and the part of
-            it that the fluid did not lose.
         max_solid_fraction (float): in the last step.
 
     Raises:
@@ -176,7 +174,6 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
         self.steps_to_check = 0  # until the step is checked again; less: never
         self.over_filled, self.over_filled_total, self.solid_volume_error = 0, 0, 0.0
         self.momentum_imbalance, self.max_solid_fraction = 0.0, 0.0
-        self.force_given, self.force_missing = np.zeros(d), np.zeros(d)
 
     @classmethod
     def of(cls, fluid: Any, particles: "Particles", forces: Sequence[Any], **kwargs: Any) -> "Coupling":

@@ -9,6 +9,9 @@ from fe_el.parallel.exchange import largest_of, sums_of
 class Ledger:
     """Solid volume and momentum of :class:`Coupling`."""
 
+    force_given: np.ndarray  #: (d,) [N] what all particles got by fields of the fluid in the last step
+    force_missing: np.ndarray  #: (d,) [N] the part of it that the fluid did not lose
+
     def _momentum_ledger(self, given, received, mass, changed):
         """What particles and fluid gained against each other, and whether the fluid changed anywhere in the step."""
         p, d = self.particles, self.dimension

@@ -61,7 +61,8 @@ class HelmholtzSmoothing:
     Args:
         mesh: dolfinx mesh.
         length (float): smoothing length [m]; l^2 is half the second moment of the kernel per direction.
-        tolerance (float): bound of the solver's relative error in the energy norm.
+        tolerance (float): bound of the solver's relative error in the energy norm: of the kernel's shape, as sums and
+            symmetry do not depend on it; :meth:`near` cuts the kernel off where it has fallen to that.
 
     Attributes:
         iterations (int): degree of the polynomial.
