@@ -79,7 +79,7 @@ class ParticleArrays:
 
     def speed(self) -> float:
         """Largest speed of a particle on this rank [m/s]. Not collective."""
-        return float(np.sqrt((self.velocity ** 2).sum(1).max(initial=0.0)))
+        return float(np.sqrt(np.einsum("ij,ij->i", self.velocity, self.velocity).max(initial=0.0)))
 
     def arrays(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Names and arrays of everything that travels with a particle."""

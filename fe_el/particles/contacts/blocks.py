@@ -58,9 +58,8 @@ class Block(NamedTuple):
 
 
 def aligned(rows, width):
-    """Zeros (rows, width) that start at a line of the cache."""
+    """An array (rows, width) to be filled, which starts at a line of the cache."""
     memory = np.empty(rows * width + 7)
-    memory[:] = 0.0
     start = -(memory.ctypes.data // 8) % 8
     return memory[start:start + rows * width].reshape(rows, width)
 

@@ -3,12 +3,13 @@ import numpy as np
 
 from fe_el.mesh import cell_mesh as _mesh
 from fe_el.parallel.exchange import largest_of
-from fe_el.particles.contacts import neighbours, springs, velocity_verlet, waves
+from fe_el.particles.contacts import neighbours, springs, velocity_verlet, wall_lists, waves
 from fe_el.particles.contacts import walls as _walls
 from fe_el.particles.contacts.blocks import aligned
 from fe_el.particles.contacts.records import Candidates, FacetRows, Facets, Near, Pairs, Rows, ShapeRows, Tiles, WallRows
 from fe_el.particles.contacts.room import Room
 from fe_el.particles.contacts.saved_contacts import SavedLists
+from fe_el.particles.contacts.sub_steps import FIRST, prune
 from fe_el.particles.contacts.wall_patches import smooth_patches
 from fe_el.particles.contacts.wall_shapes import FACETS, SURFACE, move_walls, shape_list
 from fe_el.particles.contacts.wall_surfaces import rotation
@@ -41,7 +42,8 @@ class ContactLists(SavedLists, Room):
         self.load = np.zeros((len(self.motion), 8))
         self.carried, self.turn = np.zeros(0, np.int64), np.tile(np.eye(3), (len(self.motion), 1, 1))
         self.tile_starts, self.strips, self.tile_layout, self.tiles = None, 1, None, waves.NONE
-        self.ghosts, self.pairs, self.restored, self.has_shapes = None, None, None, bool((self.kind != FACETS).any())
+        self.ghosts, self.pairs, self.restored, self._springs = None, None, None, None
+        self.has_shapes = bool((self.kind != FACETS).any())
         self.pose_surfaces()
 
     def _facets(self):
@@ -162,7 +164,7 @@ class ContactLists(SavedLists, Room):
     def rebuild(self, h, step, layout):
         """Locate, migrate, sort, exchange ghosts and make the lists, keeping the springs of live contacts."""
         p, comm = self.particles, self.particles.comm
-        kept = self.collect(step, layout)
+        kept = self.collect(step, layout, comm.size > 1 or p.period is not None)
         largest, speed, inverse = largest_of(comm, *((p.diameter.max(), p.speed(),
                                                       1 / p.diameter.min()) if len(p) else np.zeros(3)))
         self._choose_skin(1 / max(inverse, 1e-300), largest, speed, h)
@@ -173,7 +175,7 @@ class ContactLists(SavedLists, Room):
         reach = largest / 2 + widest + (self.wall_room if len(self.carried) else 0.0)
         if len(self.facets.corner) and (self._reach < reach or self._cells is not p.cells or len(self.carried)):
             self._reach, self._cells, self.balls = 1.2 * reach, p.cells, _walls.facet_balls(self.facets.corner)
-            self._in_cells = _walls.wall_candidates(p.cells, self.facets.corner, self._reach)
+            self._in_cells = wall_lists.wall_candidates(p.cells, self.facets.corner, self.balls, self._reach)
         before, destination = p.id, p.locate()
         if destination is not None:
             kept = springs.moved(comm, kept, destination, before, p.id)
@@ -183,7 +185,7 @@ class ContactLists(SavedLists, Room):
         if self.ghosts is not None:
             self.ghosts.free()
         self.ghosts = Ghosts(comm, p.position, largest + 2 * widest, p.period)
-        speeds = np.sqrt((p.velocity ** 2).sum(1))
+        speeds = np.sqrt(np.einsum("ij,ij->i", p.velocity, p.velocity))
         room = self._room(speeds)
         x, pairs = self._pairs(room)
         radius, self.ids = self.ghosts.grow(p.diameter / 2), self.ghosts.grow(p.id)
@@ -195,7 +197,8 @@ class ContactLists(SavedLists, Room):
         self.weigh()
         self._lists(x, pairs, self.ghosts.grow(room), kept, step)
         self.load[:, 6] = 0.0
-        self.x0, self.age = np.column_stack([p.position, (room - h * speeds) ** -2]), 0  # out of date a sub-step early
+        self.x0, self.age = np.empty((len(p), 4)), 0
+        self.x0[:, :3], self.x0[:, 3] = p.position, (room - h * speeds) ** -2  # out of date a sub-step early
         self.rebuilds += 1
 
     def weigh(self):
@@ -222,25 +225,6 @@ class ContactLists(SavedLists, Room):
         self.tile_starts = np.concatenate([[0], np.cumsum(np.bincount(tile, minlength=count))])
         return [one._replace(particle=place[one.particle]) for one in kept]
 
-    def collect(self, step, layout):
-        """Springs of the live contacts of the present lists: of pairs, facets and shapes."""
-        if self.pairs is None:
-            # of a checkpoint, of other walls
-            kept, old = self.restored or ([springs.none(self.width)] * 3, self.particles.id)
-            return [springs.renumbered(one, old, self.particles.id) for one in kept]
-        n = self.ghosts.owned
-        out = [springs.Kept(*springs.collect_springs(*where, entries.spring, entries.stamp, step, entries is self.pairs, n,
-                                                     self.ids))
-               for where, entries in zip(self._partners(), (self.pairs, self.near_facets, self.shapes))]
-        ids = self.particles.id
-        return out if layout == self.particles.layout else [springs.renumbered(kept, self.ids[:n], ids) for kept in out]
-
-    def _partners(self):
-        """First particle, the other's place, and lasting numbers of all others, of each list."""
-        facets, walls = np.arange(len(self.facets.wall)), np.arange(len(self.walls))
-        return ((self.pairs.first, self.pairs.second, self.ids),
-                (self.near_facets.particle, self.near_facets.facet, facets), (self.shapes.particle, self.shapes.wall, walls))
-
     def _pairs(self, room):
         """Positions and pairs with the ghosts that have a partner here; the others are given up."""
         p, n = self.particles, len(self.particles)
@@ -252,6 +236,8 @@ class ContactLists(SavedLists, Room):
         if held.any():  # two that are held have no reduced mass
             free = ~(held[first] & held[second])
             first, second = first[free], second[free]
+        if self.particles.comm.size == 1 and not self.ghosts.number:
+            return x, (first, second)
         used = np.zeros(len(x), bool)
         used[:n] = True
         used[second] = True
@@ -267,19 +253,21 @@ class ContactLists(SavedLists, Room):
             tile = self.ghosts.grow(np.repeat(np.arange(count), np.diff(self.tile_starts)))
             *pairs, pair_starts, apart, apart_strips = waves.by_tile(*pairs, tile, self.strips, count)
         none, reach = (np.zeros(0, np.uint32),) * 2, radius + room
-        facets = shapes = none
+        facets, shapes, wall_gaps = none, none, np.zeros(0)
         if len(self.facets.corner):
             wider = reach + self.wall_room if len(self.carried) else reach
-            near = _walls.wall_list(x, wider, p.cell, *self._in_cells, self.facets.corner, self.balls)
-            facets = [a[~p.held[near[0]]].view(np.uint32) for a in near]
+            near = wall_lists.wall_list(x, wider, p.cell, self._in_cells, self.facets.corner, self.balls)
+            *facets, distance = [a[~p.held[near[0]]] for a in near]
+            wall_gaps, facets = (distance - radius[facets[0]]) / room[facets[0]], [a.view(np.uint32) for a in facets]
         if self.has_shapes:
             near = shape_list(x, reach + self.wall_room, n, self.kind, self.shape, self.motion)
             shapes = [a[~p.held[near[0]]].view(np.uint32) for a in near]
-        gaps = (neighbours.gaps(x, radius, room, *pairs), _walls.wall_gaps(x, radius, room, *facets, self.facets.corner))
         if len(self.carried):  # facets that move are always listed
-            gaps[1][np.isin(facets[1], self.carried)] = -np.inf
+            wall_gaps[np.isin(facets[1], self.carried)] = -np.inf
+        gaps = neighbours.gaps(x, radius, room, *pairs), wall_gaps
         self.candidates = Candidates(*gaps, *(np.empty(len(a) + 1, np.uint32) for a in gaps))
-        self.near, self.tiles = Near(-1.0, 0, 0), waves.NONE  # see update_near
+        likely = [listed[:prune(gap, FIRST, listed)] for gap, listed in zip(gaps, self.candidates[2:])]
+        self.near, self.tiles = Near(FIRST, *map(len, likely)), waves.NONE
         if in_tiles:
             images = np.argsort(tile[n:], kind="stable")
             facet_starts, shape_starts = (np.searchsorted(a, self.tile_starts) for a in (facets[0], shapes[0]))
@@ -287,10 +275,13 @@ class ContactLists(SavedLists, Room):
             self.tiles = Tiles(self.tile_starts, pair_starts, facet_starts, shape_starts, image_starts, images, self.strips,
                                apart, apart_strips,
                                *waves.at_once(n, count // self.strips, apart, self.strips, apart_strips))
-        empty = [(aligned(len(a[0]), self.width), np.empty(len(a[0]), np.int32)) for a in (pairs, facets, shapes)]
+        memory = self._memory_of_pairs(len(pairs[0])), *(np.zeros((len(a[0]), self.width)) for a in (facets, shapes))
+        empty = [(a, np.empty(len(a), np.int32)) for a in memory]
         self.pairs = Pairs(*pairs, *empty[0])
         self.near_facets = FacetRows(*facets, *empty[1], self.facets, _walls.scratch(facets[0]))
         self.shapes = ShapeRows(*shapes, *empty[2], self.kind, self.shape)
-        for where, old, (spring, stamp) in zip(self._partners(), kept, empty):
-            springs.restore_springs(*where, n, *old, step, spring, stamp)
+        likely.append(np.arange(len(shapes[0]), dtype=np.uint32))
+        for where, some, old, (spring, stamp) in zip(self._partners(), likely, kept, empty):
+            contacts = springs.by_particle(n, old.particle, old.partner)
+            springs.restore_springs(*where, some, contacts, old.spring, where[2] is self.ids, step, spring, stamp)
         self.restored = None

@@ -8,9 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fe_el.compiled.borrowed import borrowed
 from fe_el.compiled.cache import njit
 from fe_el.compiled.direct_calls import Direct
 from fe_el.compiled.parts import part
+from fe_el.particles.contacts.pair_batches import Batch, add_to_batch, batch_for, pairs_in_batch
 
 
 class Grids(NamedTuple):
@@ -59,7 +61,9 @@ def _classes(radius, smallest, count):
     """Size class of each particle, numbered without the empty ones, and the largest radius of each class."""
     level, largest, number = np.empty(len(radius), np.int32), np.zeros(count), np.zeros(count, np.int32)
     for i in range(len(radius)):
-        level[i] = min(int(np.log2(radius[i] / smallest * (1 + 1e-12))), count - 1) if count > 1 else 0
+        level[i], edge = 0, 2 * smallest
+        while level[i] < count - 1 and radius[i] * (1 + 1e-12) >= edge:
+            level[i], edge = level[i] + 1, 2 * edge
         largest[level[i]] = max(largest[level[i]], radius[i])
     there = largest > 0
     for k in range(1, count):
@@ -149,31 +153,31 @@ def _pairs_of_few(g, coarse, cloud, grids, owned, first, second, number):
 
 @Direct
 @njit
-def _search(cloud, grids, owned, first, second):
+def _search(batch, cloud, grids, owned, first, second):
     """Fill the pairs that reach each other, one of the two owned; returns their number (beyond the capacity: only counted).
 
     Boxes that follow each other in the last direction follow each other in memory: their particles are one range.
     """
-    order, rows, start = cloud.order, cloud.rows, cloud.start
-    size, shape, offset = grids.size, grids.shape, grids.offset
-    number, begin, end = np.uint64(0), np.empty(9, np.uint64), np.empty(9, np.uint64)
-    one, few = np.uint64(1), _few(start, size, offset)
+    batch, cloud, grids = borrowed((batch, cloud, grids))
+    order, rows, start, size, shape, offset = cloud.order, cloud.rows, cloud.start, grids.size, grids.shape, grids.offset
+    number, zero, seven, few = np.uint64(0), np.uint64(0), np.uint64(7), _few(start, size, offset)
     for g in range(len(size)):
         for box in range(offset[g], offset[g + 1]):
             if start[box] == start[box + 1]:
                 continue
             line, c = (box - offset[g]) // shape[g, 2], (box - offset[g]) % shape[g, 2]
             a, b = line // shape[g, 1], line % shape[g, 1]
-            low, high, lines = max(c - 1, 0), min(c + 2, shape[g, 2]), 0
+            low, high = max(c - 1, 0), min(c + 2, shape[g, 2])
+            m = add_to_batch(zero, start[box], start[box - c + high], cloud, batch)
             for da, db in ((0, 1), (1, -1), (1, 0), (1, 1)):  # within a class half of the boxes around will do
                 if a + da < shape[g, 0] and 0 <= b + db < shape[g, 1]:
                     at = offset[g] + ((a + da) * shape[g, 1] + b + db) * shape[g, 2]
-                    begin[lines], end[lines] = start[at + low], start[at + high]
-                    lines += 1
+                    m = add_to_batch(m, start[at + low], start[at + high], cloud, batch)
+            full = (m + seven) // np.uint64(8) * np.uint64(8)
+            for k in range(m, full):
+                batch.x[k] = np.inf  # what fills up the last eight is near nothing
             for n in range(start[box], start[box + 1]):
-                number = _pairs_with(n, n + one, start[box - c + high], rows, order, owned, first, second, number)
-                for k in range(lines):
-                    number = _pairs_with(n, begin[k], end[k], rows, order, owned, first, second, number)
+                number = pairs_in_batch(n - start[box], full, batch, owned, first, second, number)
                 for coarse in range(g + 1, len(size)):
                     if few[g, coarse]:
                         continue
@@ -226,12 +230,13 @@ def neighbour_pairs(x, radius, owned, expected=0):
         shape[g] = (extent / size[g]).astype(np.int64) + 1
     grids = Grids(lower, size, shape, np.concatenate([[0], np.cumsum(shape.prod(1))]))
     cloud = Cloud(*_sorted_by_box(x, radius, level, grids))
+    batch = Batch(*batch_for(cloud.start))
     capacity = max(6 * len(x), expected + len(x)) + 64
     first, second = np.empty(capacity, np.uint32), np.empty(capacity, np.uint32)
-    number = _search(cloud, grids, owned, first, second)
+    number = _search(batch, cloud, grids, owned, first, second)
     if number + len(x) > capacity:
         first, second = (np.empty(number + len(x), np.uint32) for _ in range(2))
-        _search(cloud, grids, owned, first, second)
+        _search(batch, cloud, grids, owned, first, second)
     return _by_first(first[:number], second[:number], owned)
 
 

@@ -5,7 +5,8 @@ import numpy as np
 
 from fe_el.mesh.places import nearest
 from fe_el.parallel.exchange import largest_of
-from fe_el.particles.contacts.springs import Kept
+from fe_el.particles.contacts import springs
+from fe_el.particles.contacts.blocks import aligned
 
 if TYPE_CHECKING:
     from fe_el.particles.contacts.contact_lists import ContactLists
@@ -13,7 +14,38 @@ if TYPE_CHECKING:
 
 
 class SavedLists:
-    """What :class:`ContactLists` take back."""
+    """What :class:`ContactLists` keep of their springs and take back."""
+
+    def collect(self, step, layout, mirror=True):
+        """Springs of the live contacts of the present lists: of pairs, facets and shapes.
+
+        Those of pairs for both particles, or without ``mirror`` for one, which will do where both stay on this rank and are
+        never seen as images of each other.
+        """
+        if self.pairs is None:
+            # of a checkpoint, of other walls
+            kept, old = self.restored or ([springs.none(self.width)] * 3, self.particles.id)
+            return [springs.renumbered(one, old, self.particles.id) for one in kept]
+        n = self.ghosts.owned
+        out = [springs.Kept(*springs.collect_springs(*where, entries.spring, entries.stamp, step,
+                                                     mirror and entries is self.pairs, n, self.ids))
+               for where, entries in zip(self._partners(), (self.pairs, self.near_facets, self.shapes))]
+        ids = self.particles.id
+        return out if layout == self.particles.layout else [springs.renumbered(kept, self.ids[:n], ids) for kept in out]
+
+    def _partners(self):
+        """First particle, the other's place, and lasting numbers of all others, of each list."""
+        facets, walls = np.arange(len(self.facets.wall)), np.arange(len(self.walls))
+        return ((self.pairs.first, self.pairs.second, self.ids),
+                (self.near_facets.particle, self.near_facets.facet, facets), (self.shapes.particle, self.shapes.wall, walls))
+
+    def _memory_of_pairs(self, number):
+        """(number, width) for the springs of a new list of pairs, which may hold old ones: those of the last list have been
+        collected by then, and memory need not be cleared."""
+        if self._springs is None or len(self._springs) < number:
+            self._springs = aligned(number + number // 8, self.width)
+            self._springs[:] = 0.0
+        return self._springs[:number]
 
     def restore(self, state):
         """Springs for the particles of this rank, and walls where they were."""
@@ -30,11 +62,12 @@ class SavedLists:
             here = place < len(order)
             here[here] = p.id[order][place[here]] == rows["id"][here]
             other = rows["other"]
-            if name == "facets" and len(other):
-                other, found = nearest(self.facets.corner.mean(1), other, None)
+            if name == "facets":
+                other, found = nearest(self.facets.corner.mean(1), other, None) if len(other) else (other.ravel(), here)
                 here &= found
             spring = rows["spring"][here].reshape(-1, self.width)
-            kept.append(Kept(order[place[here]], other[here].astype(np.int64), spring))
+            kept.append(springs.Kept(order[place[here]], other[here].astype(np.int64), spring))
+        self._springs = None  # whatever a run that failed left in them
         self.skin = None if np.isnan(same["skin"]) else float(same["skin"])
         self.restored, self.pairs = (kept, p.id.copy()), None
         self.age, self.rebuilds = int(same["age"]), int(same["rebuilds"])

@@ -59,7 +59,8 @@ def moved(comm, every, destination, before, now):
 
 @njit
 def collect_springs(first, second, partner_id, spring, stamp, step, mirror, owned, ids):
-    """Springs of the contacts of this step: (particle, partner's id, spring), for both partners where ``mirror`` is set."""
+    """Springs of the contacts of this step: (particle, partner's id, spring), for the first partner, and where ``mirror`` is
+    set for both."""
     number, width = 0, spring.shape[1]
     for k in range(len(first)):
         if stamp[k] == step:
@@ -82,10 +83,10 @@ def collect_springs(first, second, partner_id, spring, stamp, step, mirror, owne
 
 
 @njit
-def restore_springs(first, second, partner_id, owned, particle, partner, stretch, step, spring, stamp):
-    """Copy collected springs to the contacts of a new list, and stamp these as of this step and the others as older."""
-    one, width = np.uint32(1), spring.shape[1]
-    start, order = np.zeros(owned + 1, np.uint32), np.empty(len(particle), np.uint32)
+def by_particle(owned, particle, partner):
+    """Where the contacts of each particle begin among all, which these are, and their partners."""
+    one, start, order = np.uint32(1), np.zeros(owned + 1, np.uint32), np.empty(len(particle), np.uint32)
+    other = np.empty(len(particle), np.int64)
     for k in range(len(particle)):
         start[particle[k] + one] += one
     for i in range(owned):
@@ -93,12 +94,31 @@ def restore_springs(first, second, partner_id, owned, particle, partner, stretch
     at = start.copy()
     for k in range(len(particle)):
         n = at[particle[k]]
-        order[n], at[particle[k]] = k, n + one
-    for k in range(len(first)):
-        i, wanted = first[k], partner_id[second[k]]
-        stamp[k] = -2
+        order[n], other[n], at[particle[k]] = k, partner[k], n + one
+    return start, order, other
+
+
+@njit
+def restore_springs(first, second, partner_id, likely, contacts, stretch, mutual, step, spring, stamp):
+    """Copy springs that were kept to the contacts of a new list, and stamp these as of this step and the others as older.
+
+    Only the ``likely`` entries of the list are looked at, those that are in contact or nearly so. A ``mutual`` contact, one
+    of two particles, may have been kept for what is its second one now. For ``contacts`` see :func:`by_particle`.
+    """
+    start, order, other = contacts
+    one, width, none, owned = np.uint32(1), spring.shape[1], np.uint32(len(order)), len(start) - 1
+    stamp[:] = -2
+    for k in likely:
+        i, j, found, sign = first[k], second[k], none, 1.0
         for s in range(start[i], start[i + one]):
-            if partner[order[s]] == wanted:
-                for q in range(width):
-                    spring[k, q] = stretch[order[s], q]
-                stamp[k] = step
+            if other[s] == partner_id[j]:
+                found = order[s]
+        if mutual and found == none and j < owned:
+            for s in range(start[j], start[j + one]):
+                if other[s] == partner_id[i]:
+                    found, sign = order[s], -1.0
+        if found != none:
+            for q in range(width):
+                spring[k, q] = stretch[found, q] * sign
+            spring[k, 3] = stretch[found, 3]  # the normal velocity is the same from both sides
+            stamp[k] = step

@@ -16,6 +16,8 @@ from fe_el.particles.contacts.walls import facet_forces
 from fe_el.particles.contacts.waves import part_of, refresh_images, wave_length
 from fe_el.particles.ghosts import forward_state
 
+FIRST = 1 / 16  # share of the particles' room at which lists begin
+
 
 @part
 def prune(gap, reach, near):
@@ -33,7 +35,7 @@ def update_near(moved, candidates, near):
     need = math.sqrt(moved)
     if need < near.reach:
         return near
-    reach = max(2 * need, 1 / 16)
+    reach = max(2 * need, FIRST)
     reach = reach if reach < 1 else math.inf  # all
     return Near(reach, prune(candidates.gap, reach, candidates.listed),
                 prune(candidates.wall_gap, reach, candidates.wall_listed))

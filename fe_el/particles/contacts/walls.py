@@ -7,7 +7,6 @@ and concave and convex edges are right without special cases. Contacts with one 
 """
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from fe_el.compiled.cache import njit
 from fe_el.compiled.parts import part
@@ -16,33 +15,6 @@ from fe_el.particles.contacts.law_kernels import FAST
 from fe_el.particles.contacts.records import FacetScratch
 from fe_el.particles.contacts.wall_blocks import add_contact, finish_block
 from fe_el.particles.contacts.wall_patches import holds_feature, join_contacts, patch_scratch
-
-
-def wall_candidates(cells, facet_corner, reach):
-    """Facets within ``reach`` of each cell: (start, facet)."""
-    centre = cells.corner.mean(1)
-    radius = np.sqrt(((cells.corner - centre[:, None]) ** 2).sum(2).max(1))
-    middle = facet_corner.mean(1)
-    size = np.sqrt(((facet_corner - middle[:, None]) ** 2).sum(2).max(1))
-    near = cKDTree(middle).query_ball_point(centre, radius + size.max() + reach, return_sorted=True)
-    start = np.concatenate([[0], np.cumsum([len(k) for k in near])]).astype(np.int64)
-    facet = np.concatenate([np.asarray(k, np.int32) for k in near]).astype(np.int32)
-    return _closer(centre, radius + reach, start, facet, facet_corner)
-
-
-@njit
-def _closer(centre, reach, start, facet, corner):
-    """Keep the facets whose nearest point is within reach of each centre."""
-    new, kept, number = np.zeros_like(start), np.empty_like(facet), 0
-    for c in range(len(centre)):
-        x, y, z = centre[c]
-        for k in range(start[c], start[c + 1]):
-            qx, qy, qz, _, _, _ = nearest_point(corner[facet[k]], x, y, z)
-            if (qx - x) ** 2 + (qy - y) ** 2 + (qz - z) ** 2 <= reach[c] * reach[c]:
-                kept[number] = facet[k]
-                number += 1
-        new[c + 1] = number
-    return new, kept[:number].copy()
 
 
 @njit(fastmath=FAST)
@@ -116,46 +88,6 @@ def facet_balls(corner):
     last = corner[:, 2] - corner[:, 0] if corner.shape[1] == 3 else np.tile([0.0, 0.0, 1.0], (len(corner), 1))
     normal = np.cross(corner[:, 1] - corner[:, 0], last)
     return np.column_stack([middle, size, normal / np.linalg.norm(normal, axis=1)[:, None]])
-
-
-@njit
-def _list(x, reach_of, cell, cell_start, cell_facet, corner, ball, particle, facet):
-    number = 0
-    for i in range(len(cell)):
-        reach = reach_of[i]
-        for k in range(cell_start[cell[i]], cell_start[cell[i] + 1]):
-            f = cell_facet[k]
-            dx, dy, dz, far = x[i, 0] - ball[f, 0], x[i, 1] - ball[f, 1], x[i, 2] - ball[f, 2], reach + ball[f, 3]
-            if dx * dx + dy * dy + dz * dz > far * far or abs(dx * ball[f, 4] + dy * ball[f, 5] + dz * ball[f, 6]) > reach:
-                continue
-            qx, qy, qz, _, _, _ = nearest_point(corner[f], x[i, 0], x[i, 1], x[i, 2])
-            if (qx - x[i, 0]) ** 2 + (qy - x[i, 1]) ** 2 + (qz - x[i, 2]) ** 2 < reach * reach:
-                if number < len(particle):
-                    particle[number], facet[number] = i, f
-                number += 1
-    return number
-
-
-def wall_list(x, reach, cell, cell_start, cell_facet, corner, ball):
-    """Facets within reach (particles,) [m] of each particle: (particle, facet), in the order of the particles."""
-    capacity = 2 * len(cell) + 64
-    while True:
-        particle, facet = np.empty(capacity, np.int32), np.empty(capacity, np.int32)
-        number = _list(x, reach, cell, cell_start, cell_facet, corner, ball, particle, facet)
-        if number <= capacity:
-            return particle[:number].copy(), facet[:number].copy()
-        capacity = number
-
-
-@njit
-def wall_gaps(x, radius, room, particle, facet, corner):
-    """Distance of the surface of each particle of a list from its facet over the particle's room, negative in contact."""
-    gap = np.empty(len(particle))
-    for k in range(len(particle)):
-        i = particle[k]
-        qx, qy, qz, _, _, _ = nearest_point(corner[facet[k]], x[i, 0], x[i, 1], x[i, 2])
-        gap[k] = (np.sqrt((qx - x[i, 0]) ** 2 + (qy - x[i, 1]) ** 2 + (qz - x[i, 2]) ** 2) - radius[i]) / room[i]
-    return gap
 
 
 def scratch(particle):

@@ -51,13 +51,16 @@ def by_tile(first, second, tile, strips, count):
     Returns:
         pairs, where those of each tile begin, how far apart their slabs and their strips may be.
     """
-    start, apart, apart_strips = np.zeros(count + 1, np.int64), 0, 0
-    place = np.empty(len(first), np.int64)
+    start, apart, apart_strips = np.zeros(count + 1, np.int64), np.int32(0), np.int32(0)
+    slab, strip = np.empty(len(tile), np.int32), np.empty(len(tile), np.int32)
+    for n in range(len(tile)):  # once for each particle: divisions take long
+        slab[n] = tile[n] // strips
+        strip[n] = tile[n] - slab[n] * strips
+    place = np.empty(len(first), np.uint32)
     for k in range(len(first)):
-        a, b = tile[first[k]], tile[second[k]]
-        i, j, p, q = a // strips, b // strips, a % strips, b % strips
+        i, j, p, q = slab[first[k]], slab[second[k]], strip[first[k]], strip[second[k]]
         place[k] = max(i, j) * strips + max(p, q)
-        start[place[k] + 1] += 1
+        start[place[k] + np.uint32(1)] += 1
         apart, apart_strips = max(apart, abs(i - j)), max(apart_strips, abs(p - q))
     for c in range(count):
         start[c + 1] += start[c]
