@@ -132,6 +132,15 @@ def block_to_rows(c, block, at, rows, width, which):
 
 
 @_instructions
+def add_to_rows(c, block, at, rows, which, scale):
+    """Add to numbers 0 to 3 of four rows, each times its scale."""
+    r = c.array(rows)
+    for k, q, vector in zip(c.four(which), c.four(scale), c.from_block()):
+        k = c.entry(k, WIDTH)
+        c.store(c.plus(c.load(r, k), c.times(c.spread(q), vector)), r, k)
+
+
+@_instructions
 def force_from_block(c, block, at, force, first, second):
     """Add to numbers 0 to 3 of the first particle of each pair, and subtract from those of the second."""
     f = c.array(force)

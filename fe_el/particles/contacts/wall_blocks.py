@@ -2,7 +2,7 @@
 import numpy as np
 
 from fe_el.compiled.parts import part
-from fe_el.compiled.rows_of_four import block_to_rows, scaled_to_block
+from fe_el.compiled.rows_of_four import add_to_rows, block_to_rows, scaled_to_block
 from fe_el.particles.contacts import blocks as row
 from fe_el.particles.contacts.blocks import BLOCK
 from fe_el.particles.contacts.law_kernels import FAST, apply_law, material_row, stiffness_of_parcel, uniform
@@ -64,7 +64,10 @@ def _subtract_motion(block, m, x, motion):
 @part(fastmath=FAST)
 def _scale(b, m):
     """Multiply forces and torques by the shares of their contacts."""
+    several = False
     for n in range(m):
+        several |= b[n + row.SHARE] != 1.0
+    for n in range(m if several else 0):
         share = b[n + row.SHARE]
         if share != 1.0:
             for k in range(6):  # and torque
@@ -74,12 +77,54 @@ def _scale(b, m):
 
 
 @part(fastmath=FAST)
+def _scatter(block, m, full, rows, spring, walls):
+    """Give the particles of m contacts force and torque, the list its springs, and note the largest overlap."""
+    b, at, who, deepest = block.rows, block.at, block.particle, walls.deepest[0]
+    force, torque, one, deeper = rows.force, rows.force.reshape(rows.force.size)[4:], (1.0, 1.0, 1.0, 1.0), False
+    for n in range(m):
+        deeper |= 0.5 * b[n + row.OVERLAP] > deepest * b[n + row.RADIUS]
+    if deeper:
+        for n in range(m):
+            walls.deepest[0] = max(walls.deepest[0], 0.5 * b[n + row.OVERLAP] / b[n + row.RADIUS])
+    for n in range(m, full):
+        for k in range(6):  # and torque
+            b[n + row.FORCE_X + k * BLOCK] = 0.0
+    for n in range(0, full, 4):
+        i = four_of(who, (n, n + 1, n + 2, n + 3))
+        radius = b[n + row.RADIUS], b[n + 1 + row.RADIUS], b[n + 2 + row.RADIUS], b[n + 3 + row.RADIUS]
+        add_to_rows(b, n + row.FORCE_X, force, i, one)
+        add_to_rows(b, n + row.TORQUE_X, torque, i, radius)
+        block_to_rows(b, n + row.SPRING_X, spring, spring.shape[1], (at[n], at[n + 1], at[n + 2], at[n + 3]))
+
+
+@part(fastmath=FAST)
+def _to_walls(block, m, x, walls):
+    """Subtract force and torque of m contacts from their walls; those of one wall in a row are added up first."""
+    b, who, wall_of = block.rows, block.particle, block.wall
+    n = 0
+    while n < m:
+        w, sx, sy, sz, tx, ty, tz = wall_of[n], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        ox, oy, oz = walls.motion[w, 0], walls.motion[w, 1], walls.motion[w, 2]
+        while n < m and wall_of[n] == w:
+            i, distance = who[n], b[n + row.DISTANCE]
+            px = x[i, 0] - ox - distance * b[n + row.NORMAL_X]
+            py = x[i, 1] - oy - distance * b[n + row.NORMAL_Y]
+            pz = x[i, 2] - oz - distance * b[n + row.NORMAL_Z]
+            fx, fy, fz = b[n + row.FORCE_X], b[n + row.FORCE_Y], b[n + row.FORCE_Z]
+            sx, sy, sz = sx + fx, sy + fy, sz + fz
+            tx, ty, tz = tx + (py * fz - pz * fy), ty + (pz * fx - px * fz), tz + (px * fy - py * fx)
+            n += 1
+        for q, total in enumerate((sx, sy, sz, tx, ty, tz)):
+            walls.force[w, q] -= total
+
+
+@part(fastmath=FAST)
 def finish_block(block, m, rows, spring, stamp, walls, numbers, step, h):
     """Apply the law to a block of m wall contacts and give particles and walls their forces."""
     if m == 0:
         return
     b, at, who, wall_of = block.rows, block.at, block.particle, block.wall
-    force, motion, wall_force, deepest = rows.force, walls.motion, walls.force, walls.deepest
+    force, motion, wall_force = rows.force, walls.motion, walls.force
     full = fill_up(b, m, at)
     for n in range(m, full):
         who[n], wall_of[n] = who[m - 1], wall_of[m - 1]
@@ -102,23 +147,8 @@ def finish_block(block, m, rows, spring, stamp, walls, numbers, step, h):
         _gather_rolling(block, full, rows.state, spring, motion)
     apply_law(b, full, h, numbers)
     _scale(b, m)
-    for n in range(0, full, 4):
-        block_to_rows(b, n + row.SPRING_X, spring, spring.shape[1], (at[n], at[n + 1], at[n + 2], at[n + 3]))
-    for n in range(m):
-        i, radius = who[n], b[n + row.RADIUS]
-        deepest[0] = max(deepest[0], 0.5 * b[n + row.OVERLAP] / radius)
-        w, distance = wall_of[n], b[n + row.SQUARE]  # which the law has made the distance, and the centre the normal
-        px = rows.x[i, 0] - distance * b[n + row.CENTRE_X] - motion[w, 0]
-        py = rows.x[i, 1] - distance * b[n + row.CENTRE_Y] - motion[w, 1]
-        pz = rows.x[i, 2] - distance * b[n + row.CENTRE_Z] - motion[w, 2]
-        fx, fy, fz = b[n + row.FORCE_X], b[n + row.FORCE_Y], b[n + row.FORCE_Z]
-        wall_force[w, 3] -= py * fz - pz * fy
-        wall_force[w, 4] -= pz * fx - px * fz
-        wall_force[w, 5] -= px * fy - py * fx
-        for q in range(3):
-            force[i, q] += b[n + row.FORCE_X + q * BLOCK]
-            wall_force[w, q] -= b[n + row.FORCE_X + q * BLOCK]
-            force[i, 4 + q] += radius * b[n + row.TORQUE_X + q * BLOCK]
+    _to_walls(block, m, rows.x, walls)
+    _scatter(block, m, full, rows, spring, walls)
     if numbers.rolls > 0:
         for n in range(m):
             for q in range(3):

@@ -67,6 +67,15 @@ def facet_frames(corner):
 
 
 @part(fastmath=FAST, forceinline=True)
+def _beyond_edge(frame, f, v, w, square):
+    """Whether the foot of a point in the plane of facet f is as far as the root of ``square`` beyond one of its edges."""
+    a, b, c, d, e, g = frame[f, 3], frame[f, 4], frame[f, 5], frame[f, 6], frame[f, 7], frame[f, 8]
+    u = v + w - 1.0  # beyond the edge that the first corner does not have; those of the others are v = 0 and w = 0
+    return (v < 0.0 and v * v >= square * (a * a + b * b + c * c) or w < 0.0 and w * w >= square * (d * d + e * e + g * g)
+            or u > 0.0 and u * u >= square * ((a + d) ** 2 + (b + e) ** 2 + (c + g) ** 2))
+
+
+@part(fastmath=FAST, forceinline=True)
 def _from_facet(frame, corner, f, x, y, z, reach):
     """Vector from the nearest point of facet f to a point, with that point's weights; only its length matters beyond
     reach."""
@@ -77,6 +86,8 @@ def _from_facet(frame, corner, f, x, y, z, reach):
     d = nx * px + ny * py + nz * pz
     if abs(d) >= reach or v >= 0.0 and w >= 0.0 and v + w <= 1.0:  # too far from the plane, or in front of the face
         return d * nx, d * ny, d * nz, 1.0 - v - w, v, w
+    if _beyond_edge(frame, f, v, w, reach * reach - d * d):
+        return 2.0 * reach, 0.0, 0.0, 1.0, 0.0, 0.0
     qx, qy, qz, wa, wb, wc = nearest_point(corner[f], x, y, z)
     return x - qx, y - qy, z - qz, wa, wb, wc
 
