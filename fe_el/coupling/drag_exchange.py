@@ -34,7 +34,7 @@ class DragExchange:
         loops.fluid_at_particles(mean, velocity, solid, slip)
         if self.own is not None:
             volume = p.cells.volume
-            solid = self.own.around(p, self.mapping.concentration(volume), self._gather(volume[:, None]), solid, slip)
+            solid = self.own.around(p, self.mapping.concentration(volume), solid, slip)
         beta = self._coefficient(solid, slip, dt)
         if self.own is not None:
             ahead = self.own.ahead(dt, p, beta)

@@ -7,26 +7,28 @@ particle feels of itself is known from the shares w of the cells: a force F in t
 
     F / (rho V_e),    1 / V_e = sum w^2 / V_cell,
 
-and in steady viscous flow, spread evenly in a sphere of the volume V_e, it moves the mean velocity of that by
+and in steady viscous flow it moves their mean velocity by
 
-    M F = F / (6 pi mu R),    R = 5/12 d_e = V_e^(1/3) / 1.934,
+    M F = F / (6 pi mu R),    R = 0.72 V_e^(1/3) (1 - s)^0.55,
 
-which is the steady Stokes answer, as Evrard has it, for the kernel that the shares are. The mesh blurs it like a longer
-kernel by 0.56 V_cell^(1/3), and Helmholtz smoothing over l (twice: to the cells and back) by 2 l: R is the root of the sum
-of squares. In between the velocity w relaxes at 1 / (M rho V_e); fluid that slips past, at s = |u - w - v|, carries it
-away, and the drag of other particles, which share the cells, damps it:
+s the solid fraction of the particle alone. Evenly in a sphere of the volume V_e it would be R = 0.52 V_e^(1/3), the steady
+Stokes answer, as Evrard has it, for the kernel that the shares are; the nodes blur it, and the room that the particle takes
+is missing to the fluid. Helmholtz smoothing over l (twice: to the cells and back) blurs by 2 l: R is then the root of the
+sum of squares. In between the velocity w relaxes at 1 / (M rho V_e); fluid that slips past carries it away, and the drag of
+other particles, which share the cells, damps it:
 
-    dw/dt = F / (rho V_e) - [1 / (M rho V_e) + 2.3 s / V_e^(1/3) + beta s_others / (rho phi)] w.
+    dw/dt = F / (rho V_e) - [1 / (M rho V_e) + 2.3 |u - w - v| / V_e^(1/3) + beta s_others / (rho phi)] w.
 
 Drag laws get the slip u - w - v, and the solid fraction without what the particle itself makes in its cells: what it
 displaces flows around them, so the slip is not that of the same flux through less room. The force also makes a pressure
 gradient in its cells, whose force on the particle, 0.13 s / (1 - s) of the drag at a solid fraction s of the particle alone,
-is taken off the drag coefficient; both together move the fluid. Where many share the cells all that fades with the
-particle's share of their solids, as laws for beds are made for mean velocities.
+is taken off the drag coefficient. Where many share the cells all that fades with the particle's share of their solids, as
+laws for beds are made for mean velocities.
 
-Measured: 0.56 from spheres that fall at Re 0.08, d/h 0.1 to 1 (0.45 fits forces in one and many cells that
-rest); 2.3 from spheres towed and falling at Re 3 to 1000, d/h 0.1 to 1 (1.1 to 2.4); 0.13 from the pressure force on
-falling ones (0.09 to 0.16 at Re 0.08 to 1, more above).
+Measured: R from forces that single held spheres give, at ten places each of d/h 0.1 to 1 (0.716 and 0.46 fit all of them
+within 0.05 of their Stokes velocity), and from spheres that fall at Re 0.08, d/h 0.1 to 3 (0.55); 2.3 from
+spheres towed and falling at Re 3 to 1000, d/h 0.1 to 1 (1.1 to 2.4); 0.13 from the pressure force on falling ones (0.08 to
+0.16 at Re 0.08 to 1, more above).
 """
 import math
 from typing import NamedTuple
@@ -38,8 +40,7 @@ from fe_el.compiled.direct_calls import Direct
 
 FLUSHING = 2.3
 PRESSED = 0.13
-STEADY = 12 / 5 * (math.pi / 6) ** (1 / 3)
-GRAIN = 0.56
+LONE, FILLED = 0.72, 0.55
 
 
 class UndisturbedVelocity:
@@ -68,7 +69,6 @@ class Crowd(NamedTuple):
     solid: np.ndarray  #: (n,) solid fraction
     around: np.ndarray  #: (n,) without the particle itself
     concentration: np.ndarray  #: (n,) one over the volume that its force acts in [1/m^3]
-    cell: np.ndarray  #: (n, 1) volume of its cells [m^3]
     slip: np.ndarray  #: (n,) [m/s]
 
 
@@ -78,18 +78,17 @@ def _predict_own(dt, medium, crowd, beta, force, own, kept, answer, ahead):
     [m/(N s)], and the own velocity (n, d) at the end of the step if the force is that of the last one."""
     density, viscosity, length = medium
     share, solid, around, slip = crowd.share, crowd.solid, crowd.around, crowd.slip
-    concentration, cell = crowd.concentration, crowd.cell
+    concentration = crowd.concentration
     for i in range(len(kept)):
         wide = 1 / concentration[i] + 8 * math.pi * length ** 3
         size = wide ** (1 / 3)
-        radius = math.sqrt(concentration[i] ** (-2 / 3) / STEADY ** 2 + 4 * length * length
-                           + (GRAIN * cell[i, 0] ** (1 / 3)) ** 2)
-        void = 1 - solid[i]
+        void, filled = 1 - solid[i], share[i] * solid[i]
+        radius = math.sqrt((LONE * concentration[i] ** (-1 / 3) * (1 - filled) ** FILLED) ** 2 + 4 * length * length)
         rate = 6 * math.pi * viscosity * radius / (density * wide) + FLUSHING * slip[i] / size \
             + beta[i] * solid[i] * (1 - share[i]) / (density * void)
         kept[i] = math.exp(-rate * dt)
         pressed = 1 + PRESSED * share[i] * share[i] * solid[i] / void
-        answer[i] = share[i] * (1 - kept[i]) / (density * wide * rate) * pressed
+        answer[i] = share[i] * (1 - kept[i]) / (density * wide * rate)
         for k in range(own.shape[1]):
             ahead[i, k] = kept[i] * own[i, k] + answer[i] * force[i, k]
         beta[i] *= (void / (1 - around[i])) ** (1 - share[i]) / pressed
@@ -119,11 +118,11 @@ class OwnVelocity:
                 p.properties[name] = np.zeros((len(p), dimension))
         return p.properties["_own_velocity"]
 
-    def around(self, particles, concentration, cell_volume, solid, slip):
+    def around(self, particles, concentration, solid, slip):
         """Solid fractions (particles,) without what the particle itself makes, all of it in a crowd; and ``slip`` in place:
         that at which the flux through both is the same."""
         p = particles
-        self.crowd = Crowd(np.empty(len(p)), solid, np.empty(len(p)), concentration, cell_volume, slip)
+        self.crowd = Crowd(np.empty(len(p)), solid, np.empty(len(p)), concentration, slip)
         _leave_out(p.volume / p.number, concentration, solid, slip, self.crowd.share, self.crowd.around)
         return self.crowd.around
 
