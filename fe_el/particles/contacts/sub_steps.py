@@ -19,7 +19,7 @@ from fe_el.particles.ghosts import forward_state
 FIRST = 1 / 16  # share of the particles' room at which lists begin
 
 
-@part
+@njit
 def prune(gap, reach, near):
     """List the pairs whose gap was less than ``reach``; returns their number."""
     number = 0
