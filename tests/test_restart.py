@@ -258,5 +258,5 @@ def test_a_checkpoint_keeps_the_eddy_viscosity_and_the_kind_of_pressure_force(fo
     again = scene(True)
     fe_el.load_checkpoint(folder + "/a.h5", *again)
     assert air.eddy_viscosity.max() > 0 and (again[0].eddy_viscosity == air.eddy_viscosity).all()
-    with pytest.raises(ValueError, match="has 4 fields, this one 3.*at_end=True"):
+    with pytest.raises(ValueError, match="has 6 fields, this one 3.*at_end=True"):
         fe_el.load_checkpoint(folder + "/a.h5", *scene(False))
