@@ -33,6 +33,7 @@ from demos.benchmarks import (
     fluid_speed,
     kill_and_restart,
     leaving_out,
+    leaving_out_by_hand,
     long_run,
     mp_pic_against_contacts,
     parcel_speed,
@@ -524,6 +525,23 @@ def test_leaving_out(folder):
     assert rows["everything"]["smoothing"] and not rows["no smoothing"]["smoothing"]
     assert not rows["dry"]["fluid"] and not rows["dry"]["drag"] and not rows["gas alone"]["contacts"]
     assert not rows["fixed bed"]["neighbours"] and not rows["frozen flow"]["fluid"]
+
+
+def test_leaving_out_by_hand(folder):
+    """What a scene leaves out is in none of its kernels, and a step takes at least what is inside of them."""
+    numbers = leaving_out_by_hand.main(slice=0.1, settle_time=0.01, steps=2, output=folder, progress=False)
+    kernels = {}
+    for row in csv.DictReader(open(folder + "/kernels.csv")):
+        kernels.setdefault(row["scene"], set()).add(row["kernel"])
+    for scene, absent in (("fixed bed", {"sub_steps", "overlap_shares", "free_flight"}),
+                          ("dry", {"_gather", "solve pressure"}), ("frozen flow", {"solve pressure", "solve transport"}),
+                          ("point particles", {"overlap_shares"}),
+                          ("no smoothing", {"_chebyshev"}), ("no pressure gradient", {"_slopes"}),
+                          ("no contacts", {"sub_steps", "forces_in_step"}), ("gas alone", {"_gather", "relax", "volumes"}),
+                          ("periodic without walls", {"wall_gaps", "add_friction"})):
+        assert not absent & kernels[scene] and len(kernels[scene]) > 5
+    assert {"sub_steps", "overlap_shares", "_chebyshev", "_slopes", "solve pressure", "relax"} <= kernels["everything"]
+    assert all(value > 1 for name, value in numbers.items() if name.startswith("ratio_"))
 
 
 def test_coupled_map(folder):
