@@ -109,7 +109,7 @@ class Look(event.Listener):
 def test_compilation_is_timed_and_garbage_waits():
     collects = []
 
-    @njit
+    @numba.njit  # not kept, so it is compiled here in every run
     def sum_of(x):
         return x.sum() + twice(x[0])
     before = compile_seconds()

@@ -114,8 +114,9 @@ def _to_walls(block, m, x, walls):
             sx, sy, sz = sx + fx, sy + fy, sz + fz
             tx, ty, tz = tx + (py * fz - pz * fy), ty + (pz * fx - px * fz), tz + (px * fy - py * fx)
             n += 1
-        for q, total in enumerate((sx, sy, sz, tx, ty, tz)):
-            walls.force[w, q] -= total
+        force = walls.force[w]
+        force[0], force[1], force[2] = force[0] - sx, force[1] - sy, force[2] - sz
+        force[3], force[4], force[5] = force[3] - tx, force[4] - ty, force[5] - tz
 
 
 @part(fastmath=FAST)
