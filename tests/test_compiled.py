@@ -1,14 +1,17 @@
 """How loops are compiled, and kept."""
+import ast
 import gc
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
 from numba.core import event
 
+import fe_el
 from fe_el.compiled.cache import njit
 from fe_el.compiled.compile_time import compile_seconds
 from fe_el.compiled.parts import part
@@ -67,6 +70,36 @@ def test_python_cannot_call_a_part():
     for _ in range(2):  # the second time it has been compiled
         with pytest.raises(KeyError, match="twice is compiled into loops that call it, Python cannot"):
             twice(1.0)
+
+
+def decorated(function, *words):
+    """Whether one of the words is among a function's decorators."""
+    return any(word in ast.unparse(d) for d in function.decorator_list for word in words)
+
+
+def uses(node, compiled=False):
+    """Names that are used where Python runs, not the compiler."""
+    if isinstance(node, ast.FunctionDef):
+        compiled = compiled or decorated(node, "njit", "part", "by_dimension")
+    if isinstance(node, ast.Name) and not compiled:
+        yield node.id
+    for child in ast.iter_child_nodes(node):
+        yield from uses(child, compiled)
+
+
+def test_python_code_of_the_package_calls_no_part():
+    package = Path(fe_el.__file__).parent
+    files = {".".join(file.relative_to(package.parent).with_suffix("").parts): ast.parse(file.read_text())
+             for file in package.rglob("*.py")}
+    parts = {module: {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef) and decorated(node, "part")}
+             for module, tree in files.items()}
+    assert sum(map(len, parts.values())) > 50
+    for module, tree in files.items():
+        known = set(parts[module])
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom):
+                known |= {a.asname or a.name for a in node.names if a.name in parts.get(node.module, ())}
+        assert not known & set(uses(tree)), module
 
 
 def test_errors_of_parts_reach_the_caller():
