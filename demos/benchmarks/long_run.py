@@ -1,7 +1,7 @@
 """A small scene with everything in it, for many steps: memory, time per step and handles, which must not grow.
 
 Beads in gas with a scalar, an inlet, an outlet, walls of facets, a plane, a surface that turns, averages, a probe,
-checkpoints and output. Memory is what the process holds in RAM (VmRSS).
+checkpoints and output. Memory is what the process holds in RAM (VmRSS), time that of its processor.
     python demos/benchmarks/long_run.py
     mpirun -n 2 python -m mpi4py demos/benchmarks/long_run.py
 """
@@ -80,10 +80,18 @@ def memory():
         return next(int(line.split()[1]) for line in file if line.startswith("VmRSS")) / 1024
 
 
+def next_communicator(comm):
+    """Number that MPI gives to the next communicator, the lowest that is free: it grows with those that are not freed."""
+    new = comm.Dup()
+    number = new.py2f()
+    new.Free()
+    return number
+
+
 def main(steps=100_000, record_every=1000, checkpoint_every=5000, output="out/long_run", progress=True):
     """Run the scene and return the summary."""
     logging.getLogger().setLevel(logging.WARNING)
-    scene, rows, tick = Scene(output), [], time.perf_counter()
+    scene, rows, tick = Scene(output), [], time.process_time()
     comm = scene.beads.comm
     for k, now in enumerate(fe_el.time_steps(DT, steps * DT, progress=progress), 1):
         scene.step()
@@ -93,18 +101,20 @@ def main(steps=100_000, record_every=1000, checkpoint_every=5000, output="out/lo
         if k % record_every == 0:
             gc.collect()
             handles = len(os.listdir("/proc/self/fd"))
-            seconds, tick = (time.perf_counter() - tick) / record_every, time.perf_counter()
-            rows.append((k, comm.allreduce(memory(), op=MPI.MAX), seconds, handles, scene.beads.total_number))
+            seconds, tick = (time.process_time() - tick) / record_every, time.process_time()
+            rows.append((k, comm.allreduce(memory(), op=MPI.MAX), seconds, handles, next_communicator(comm),
+                         scene.beads.total_number))
     rows = np.array(rows)
     if comm.rank == 0:
         np.savetxt(Path(output) / "long_run.csv", rows, "%.6g", ",",
-                   header="step,memory_MB,seconds_per_step,files,particles")
+                   header="step,memory_MB,seconds_per_step,files,next_communicator,particles")
     late = rows[min(2, len(rows) - 1):]
     slope = np.polyfit(late[:, 0], late[:, 1], 1)[0] if len(late) > 2 else 0.0
     return fe_el.write_summary(output, comm, steps=steps, memory_first=rows[0, 1], memory_last=rows[-1, 1],
                                memory_growth=late[-1, 1] - late[0, 1], bytes_per_step=slope * 2 ** 20,
                                seconds_per_step_first=late[0, 2], seconds_per_step_last=late[-1, 2],
-                               files=int(rows[:, 3].max()), files_first=int(rows[0, 3]), particles=int(rows[-1, 4]),
+                               files=int(rows[:, 3].max()), files_first=int(rows[0, 3]),
+                               communicators_more=int(rows[-1, 4] - rows[0, 4]), particles=int(rows[-1, 4]),
                                let_in=scene.inlet.inserted, left=scene.beads.left)
 
 

@@ -27,8 +27,12 @@ WRITTEN = ("velocity", "angular_velocity", "diameter", "density", "material", "i
 
 
 def _write_piece(file, piece):
-    """Write a .vtu file; a piece without points, of which nothing can be compressed, as it is."""
-    meshio.write(file, piece, "vtu", compression="zlib" if len(piece.points) else None)
+    """Write a .vtu file, whole or not at all; a piece without points, of which nothing can be compressed, as it is."""
+    try:
+        meshio.write(file, piece, "vtu", compression="zlib" if len(piece.points) else None)
+    except OSError:
+        file.unlink(missing_ok=True)
+        raise
 
 
 class ParaViewOutput:
@@ -208,6 +212,10 @@ class ParaViewOutput:
             rows = "".join(f'<DataSet timestep="{t:.9g}" part="{r}" file="{f}"/>\n' for t, fs in self.written[name]
                            for r, f in enumerate(fs))
             part = self.folder / f".{name}.pvd.part"
-            part.write_text('<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">'
-                            f"<Collection>\n{rows}</Collection></VTKFile>\n")
-            part.replace(self.folder / f"{name}.pvd")
+            try:
+                part.write_text('<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">'
+                                f"<Collection>\n{rows}</Collection></VTKFile>\n")
+                part.replace(self.folder / f"{name}.pvd")
+            except OSError:
+                part.unlink(missing_ok=True)
+                raise

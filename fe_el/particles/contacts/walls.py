@@ -81,10 +81,12 @@ def _from_facet(frame, corner, f, x, y, z, reach):
     reach."""
     px, py, pz = x - frame[f, 0], y - frame[f, 1], z - frame[f, 2]
     nx, ny, nz = frame[f, 9], frame[f, 10], frame[f, 11]
+    d = nx * px + ny * py + nz * pz
+    if abs(d) >= reach:
+        return d * nx, d * ny, d * nz, 1.0, 0.0, 0.0
     v = frame[f, 3] * px + frame[f, 4] * py + frame[f, 5] * pz
     w = frame[f, 6] * px + frame[f, 7] * py + frame[f, 8] * pz
-    d = nx * px + ny * py + nz * pz
-    if abs(d) >= reach or v >= 0.0 and w >= 0.0 and v + w <= 1.0:  # too far from the plane, or in front of the face
+    if v >= 0.0 and w >= 0.0 and v + w <= 1.0:  # in front of the face
         return d * nx, d * ny, d * nz, 1.0 - v - w, v, w
     if _beyond_edge(frame, f, v, w, reach * reach - d * d):
         return 2.0 * reach, 0.0, 0.0, 1.0, 0.0, 0.0
