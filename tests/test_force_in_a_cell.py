@@ -78,3 +78,35 @@ def sphere_error(ratio, places=3, cells=8, reynolds=0.08):
 def test_a_sphere_smaller_than_a_cell_is_carried_by_its_own_wake_as_the_cell_answers():
     """The cell's answer of 2.2 F/(6 pi mu h) to the sphere's weight is 1.1 d/h of its terminal velocity."""
     assert sphere_error(0.1) == pytest.approx(0.11, abs=0.02)
+
+
+def strongest_flow(d, ends, number, strength, redrawn, steps=40):
+    """Largest kinetic energy, by that of a flow of speed 1, of fluid in a box or a duct with no-slip walls and random drag.
+
+    Drag is against bodies that move with speed 1 in the box, and are at rest in the duct, which fluid enters with speed 1.
+    """
+    n = 10 if d == 2 else 5
+    mesh, tags = fe_el.box((1.0,) * d, (n,) * d)
+    air = fe_el.VolumeAveragedNavierStokes(mesh, tags, density=1.0, viscosity=1.0, tolerance=1e-9)
+    air.set_no_slip(tuple(range(1, 2 * d - 1 if ends == "duct" else 2 * d + 1)))
+    if ends == "duct":
+        air.set_velocity(2 * d - 1, (0.0,) * (d - 1) + (1.0,))
+        air.set_pressure(2 * d, 0.0)
+    scalar, vector = scalar_space(mesh, "DG", 0), vector_space(mesh, "DG", 0)
+    void, drag, source = fem.Function(scalar), fem.Function(scalar), fem.Function(vector)
+    void.x.array[:], cells, rng, energy = 1.0, air.num_cells, np.random.default_rng(0), []
+    for step in range(steps):
+        if redrawn or step == 0:
+            drag.x.array[:] = strength * n ** 2 * rng.random(cells) ** 4 * (rng.random(cells) < 0.3)
+            source.x.array[d - 1::d] = drag.x.array * (ends == "box")
+        air.advance(number / n ** 2, (void, drag, source))
+        energy.append(air.volume @ (air.velocity.x.array.reshape(-1, d) ** 2).sum(1))
+    return max(energy)
+
+
+@pytest.mark.parametrize("redrawn", [False, True])
+@pytest.mark.parametrize("number, strength", [(0.3, 1e5), (30.0, 1e5), (1e3, 1e2), (1e4, 1e5)])
+@pytest.mark.parametrize("d, ends", [(2, "box"), (2, "duct"), (3, "box"), (3, "duct")])
+def test_flow_among_random_drag_stays_bounded_beside_walls(d, ends, number, strength, redrawn):
+    """At Courant numbers up to 1000, in steps up to 10,000 times what viscosity needs across a cell."""
+    assert strongest_flow(d, ends, number, strength, redrawn) < (8.0 if redrawn else 2.0)

@@ -45,13 +45,10 @@ class DragInTransport:
         """Add to the matrix of transport and its load (nodes, d)."""
         air, work, state = self.fluid, self.fluid.work, self.fluid.state
         split, part = work.empty("viscous_share", air.num_cells), work.empty("drag_part", air.num_cells)
-        drag_kernels.share_of_viscosity(step.velocity, air.h, self.rate, split)
+        drag_kernels.share_of_viscosity(step.velocity, air.h, self.rate, step.dt, step.memory.left, step.memory.lag, split)
         self.seen = Drag(step.drag, state.last_drag, step.source, state.drag_gain, split, part)
-        step.by_pressure = work.other("by_pressure", state.last_force, air.nodes, air.dimension)
-        step.by_pressure.fill(0.0)
         drag_kernels.drag_in_transport(air.cells, step.numbers, step.masses, air.transport_matrix.entries, self.seen,
-                                       step.velocity, step.nodal_velocity, step.memory, load, step.by_pressure)
-        air.complete(step.by_pressure)
+                                       step.velocity, step.nodal_velocity, step.memory, load)
 
     def close(self, step, new):
         """What cells keep, and the momentum that faded by convection, per node of this rank, for the ``new`` nodal

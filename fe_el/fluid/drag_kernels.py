@@ -1,15 +1,14 @@
 """Numba loops of transport with drag: see :mod:`fe_el.fluid.drag_in_transport`."""
 from fe_el.compiled.cache import njit
 from fe_el.compiled.for_each_dimension import FAST, D, M, by_dimension
-from fe_el.fluid.relaxation import fading_rate
+from fe_el.fluid.relaxation import fading_rate, lag_of
 
 
 @by_dimension
-def drag_in_transport(cells, step, masses, entries, given, q, u, known, load, by_pressure):
+def drag_in_transport(cells, step, masses, entries, given, q, u, known, load):
     """Add to the matrix of transport and to its load what drag A, source B and the fading by viscosity give to the nodes.
 
     The gain becomes p + b for a nodal velocity of zero; a ``part`` of the mean of that velocity comes off it.
-    ``by_pressure`` gets the nodal sums of the part p.
     """
     dofs, volume, dt, mass0, mass1 = cells.dofs, cells.volume, step.dt, masses.before, masses.after
     drag, last_drag, source, drag_gain = given.now, given.last, given.source, given.gain
@@ -36,7 +35,6 @@ def drag_in_transport(cells, step, masses, entries, given, q, u, known, load, by
             force = share * (mass1[c] * g - split[c] / dt * (mass1[c] * kept - mass0[c] * r))
             for i in range(M):
                 load[dofs[c, i], k] += force
-                by_pressure[dofs[c, i], k] += share * mass1[c] * p
         weight = share * share * mass1[c] * part[c] * (1.0 - split[c] / dt * stay)
         for i in range(M):
             for j in range(M):
@@ -75,13 +73,16 @@ def before_exchange(dofs, dt, q, u, force, mass, gain, kept, fades):
 
 
 @njit(fastmath=FAST)
-def share_of_viscosity(q, h, viscous, split):
-    """Share of viscosity, ``viscous`` / h^2, in the rate at which what the nodes do not carry fades."""
+def share_of_viscosity(q, h, viscous, dt, left, lag, split):
+    """Share of viscosity, ``viscous`` / h^2, in the rate at which what the nodes do not carry fades; and the whole lag: of
+    this step's gain it may be trusted at any Courant number."""
     for c in range(len(h)):
         speed = 0.0
         for k in range(q.shape[1]):
             speed += q[c, k] * q[c, k]
-        split[c] = viscous / (h[c] * h[c] * fading_rate(speed, h[c], viscous, 1.0))
+        fading = fading_rate(speed, h[c], viscous, 1.0)
+        split[c] = viscous / (h[c] * h[c] * fading)
+        lag[c] = dt * lag_of(left[c], dt * fading)
 
 
 @njit(fastmath=FAST)

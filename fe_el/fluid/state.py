@@ -26,7 +26,7 @@ class FluidState:
         nodal_velocity: (m, d) [m/s]; ``None``: the next step starts with means of the cells.
         last_change: (m, d) of the nodal velocity by transport [m/s], for a guess of the next.
         force: (m, d) that drag and pressure gave [N]; last_force: that transport was given in the last step, of the step
-            before, or its part by pressure; ``None``: none.
+            before; ``None``: none, or drag took part in it.
         slip_force: (m, d) that keeps the flow along slip walls [N].
         past_pressures: (m, 3) before the last [Pa]; guess_order (int): in which they are extrapolated.
     """
@@ -99,7 +99,6 @@ class StepState:
     correction: np.ndarray = field(init=False)  #: (m, d) what closes the balance of transport on held nodes [m/s]
     reaction: np.ndarray = field(init=False)  #: (m, d) what walls add to hold their nodes [N]
     given: np.ndarray = field(init=False)  #: (m, d) force of drag and pressure that transport was given [N]
-    by_pressure: np.ndarray = field(init=False)  #: (m, d) its part by pressure, where drag takes part in transport [N]
     taken: np.ndarray = field(init=False)  #: (m, d) what of it was taken off again [N]
     # 4. projection
     supply: np.ndarray = field(init=False)  #: (n,) volume that cells give off per volume and time, at the end [1/s]

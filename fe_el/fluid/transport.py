@@ -203,16 +203,16 @@ class Transport(Relaxation):
 
         A wall takes its share of the force on a cell. With the last step's share that would be an error of first order in
         time. What is added is at most the force itself: no noise grows by it.
+        Where drag takes part in transport this step's is known; of the pressure's part, what is carried on would be
+        answered by drag and grow.
         """
         state, last = self.state, self.state.last_force
-        if not step.drag_inside:
-            step.given = step.by_pressure = state.force
-        state.last_force, step.taken = step.by_pressure, step.given
+        if step.drag_inside:
+            step.taken, state.last_force = step.given, None
+            return
+        step.given = step.taken = state.last_force = state.force
         if last is None or not step.second_order:
             return
         ratio = min((step.dt + state.dt) / (2 * state.dt), 1.5)
         step.taken = self.work.empty("force_ahead", *step.given.shape)
-        node_kernels.carry_on(step.by_pressure, last, ratio, self.held, self.slip_nodes, self.slip_normals, step.taken)
-        if step.drag_inside:  # of drag this step's is known
-            step.taken += step.given
-            step.taken -= step.by_pressure
+        node_kernels.carry_on(step.given, last, ratio, self.held, self.slip_nodes, self.slip_normals, step.taken)
