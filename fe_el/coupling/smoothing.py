@@ -155,7 +155,7 @@ class HelmholtzSmoothing:
         self.matrix_rows = MatrixRows(start.astype(np.uint64), local.astype(np.uint32), value.copy(),
                                       1 / csr_matrix((value, local, start), (n, self.rows)).diagonal())
 
-    def solve(self, load, at):
+    def solve(self, load: np.ndarray, at: np.ndarray) -> np.ndarray:
         """Approximate H^-1 load of (owned nodes, k) by the Chebyshev polynomial, with H and load cut off to the rows
         ``at``: (owned nodes, k), for now."""
         parts = [self._solve(load, column, at) for column in range(0, load.shape[1], 8)]
