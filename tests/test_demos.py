@@ -26,6 +26,7 @@ from demos import (
     turbulent_channel,
 )
 from demos.benchmarks import (
+    broken_runs,
     contact_speed,
     coupled_map,
     error_against_run_time,
@@ -37,6 +38,7 @@ from demos.benchmarks import (
     long_run,
     mp_pic_against_contacts,
     parcel_speed,
+    round_off,
     stability_map,
 )
 from demos.peers import (
@@ -515,6 +517,19 @@ def test_killed_runs_go_on(folder):
     summary = kill_and_restart.main(2, output=folder)
     assert summary["same_frames"] and summary["frames"] > 10 and summary["exit_codes"] == [-9]
     assert summary["kinetic_energy_difference"] < 1e-10 and summary["left_mass_difference"] == 0
+
+
+def test_broken_runs_go_on(folder):
+    """A run that is told to stop ends soon with the promised code, and goes on with all its beads."""
+    found = broken_runs.main([("SIGTERM", 1)], output=folder)["SIGTERM_1"]
+    assert found["exit_code"] == fe_el.run.stopping.STOPPED and found["seconds"] < 10 and not found["stray_files"]
+    assert found["goes_on"] and found["same_frames"] and found["lost_particles"] == 0
+
+
+def test_round_off_grows_in_collisions(folder):
+    """A last digit stays one before beads meet, and is a part of the diameter a few collisions later."""
+    numbers = round_off.main(50, output=folder)["distance_over_diameter"]
+    assert numbers["10_ms"] < 1e-10 < numbers["50_ms"]
 
 
 def test_leaving_out(folder):

@@ -1,4 +1,6 @@
-"""Errors under mpirun end the run on all ranks, and say so once."""
+"""Errors under mpirun end the run on all ranks, and say so once; a disk that is full leaves whole frames."""
+import subprocess
+import sys
 import time
 
 import pytest
@@ -52,3 +54,29 @@ def test_a_failing_rank_of_a_restarted_run_waits_for_nobody(tmp_path, mpirun):
     script.write_text(RESTARTED)
     run = mpirun(2, "-m", "mpi4py", str(script), str(tmp_path / "out"))
     assert run.returncode and "this error came on rank 1" in run.stderr and "only here" in run.stderr
+
+
+FULL = """
+import resource, signal, sys
+import fe_el
+mesh, tags = fe_el.box((0.01, 0.01), (4, 4))
+beads = fe_el.Particles(mesh, 2500.0)
+beads.insert_at([[0.005, 0.005]], 1e-4)
+output = fe_el.ParaViewOutput(sys.argv[1], beads)
+output.write(0.5)
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (220, 220))
+try:
+    output.write(1.0)
+except OSError as error:
+    print("said:", error)
+"""
+
+
+def test_a_full_disk_leaves_whole_frames_only(tmp_path):
+    """Here a limit of the file size; the cut piece of the frame that did not fit is gone."""
+    run = subprocess.run([sys.executable, "-W", "ignore", "-c", FULL, str(tmp_path)], capture_output=True, text=True,
+                         timeout=120)
+    assert run.returncode == 0 and "cannot be written" in run.stdout and "Make room" in run.stdout, run.stderr
+    assert sorted(f.name for f in tmp_path.iterdir()) == ["particles.pvd", "particles_00000_0.vtu"]
+    assert (tmp_path / "particles.pvd").read_text().count("<DataSet") == 1

@@ -114,7 +114,7 @@ def main(steps=100_000, record_every=1000, checkpoint_every=5000, output="out/lo
                                memory_growth=late[-1, 1] - late[0, 1], bytes_per_step=slope * 2 ** 20,
                                seconds_per_step_first=late[0, 2], seconds_per_step_last=late[-1, 2],
                                files=int(rows[:, 3].max()), files_first=int(rows[0, 3]),
-                               communicators_more=int(rows[-1, 4] - rows[0, 4]), particles=int(rows[-1, 4]),
+                               communicators_more=int(rows[-1, 4] - rows[0, 4]), particles=int(rows[-1, 5]),
                                let_in=scene.inlet.inserted, left=scene.beads.left)
 
 
