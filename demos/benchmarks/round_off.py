@@ -1,7 +1,7 @@
 """How collisions amplify round-off: a packing falls and settles, again with one bead moved by its last digit, on one rank.
 
-Results on several ranks differ from those on one in the last digits, as sums have another order. This shows what becomes
-of such a difference however it came about.
+Results on several ranks differ from those on one in the last digits; the order of sums is suspected. This shows what
+becomes of such a difference however it came about.
     python demos/benchmarks/round_off.py
 """
 import argparse
