@@ -156,6 +156,17 @@ def test_neighbours_are_all_found_once_at_any_size_ratio(ratio):
     assert found == {(i, j) for i, j in zip(a.tolist(), b.tolist()) if i < 500}
 
 
+def test_neighbours_of_few_among_many_others_are_written_as_well_as_counted():
+    """Seven owned spheres in one box among a hundred others: there are more pairs than room was made for at first."""
+    x = np.zeros((107, 3))
+    x[:6, 0], x[7:, 0], x[-1, 0] = 0.05, 2.03, 1.95
+    x[7:, 1] = np.linspace(0.0, 0.01, 100)
+    first, second = neighbour_pairs(x, np.ones(107), 7)
+    near = np.triu(np.linalg.norm(x[:, None] - x, axis=2) < 2.0, 1)[:7]
+    assert set(zip(first.tolist(), second.tolist())) == set(zip(*(k.tolist() for k in np.nonzero(near))))
+    assert len(first) == near.sum() == 622
+
+
 @pytest.mark.ranks
 def test_collision_across_a_periodic_side(by_id):
     """Two spheres that meet across the wrap rebound as in the middle of the box, with their springs."""

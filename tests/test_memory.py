@@ -3,6 +3,7 @@ import ctypes
 import gc
 
 import numpy as np
+import pytest
 
 import fe_el
 from demos.benchmarks.long_run import Scene
@@ -45,3 +46,21 @@ def test_a_step_of_everything_keeps_no_memory(folder):
     for _ in range(700):
         scene.step()
     assert (used() - before) / 700 < 60
+
+
+def test_contacts_go_on_after_an_error_that_was_mended():
+    """Springs that were no numbers in the step that failed are none in the next."""
+    mesh, _ = fe_el.box((0.012, 0.012, 0.02), (3, 3, 5))
+    beads = fe_el.Particles(mesh, 2500.0, (0, 0, -9.81))
+    places = np.stack(np.meshgrid(*3 * [np.arange(5)], indexing="ij"), -1).reshape(-1, 3)
+    beads.insert_at(0.0012 + 0.00199 * places, 2e-3)
+    contacts = fe_el.Contacts(beads, fe_el.LinearSpringDashpot(500.0, 0.7, 0.5))
+    for _ in range(3):
+        beads.advance(1e-4, contacts)
+    beads.angular_velocity[0] = np.nan
+    with pytest.raises((FloatingPointError, ValueError)):
+        beads.advance(1e-4, contacts)
+    beads.angular_velocity[0] = 0.0
+    for _ in range(5):
+        beads.advance(1e-4, contacts)
+    assert np.isfinite(beads.position).all() and np.isfinite(beads.angular_velocity).all()

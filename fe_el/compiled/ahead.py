@@ -21,8 +21,9 @@ from fe_el.compiled.cache import BASE, ROOT
 from fe_el.compiled.direct_calls import Direct
 
 PATIENCE = 300  # seconds
-START = """import sys, types
-sys.path.insert(0, sys.argv[1])
+START = """import sys
+sys.path[:] = [sys.argv[1], *filter(None, sys.path)]  # not the folder that the run was started in
+import types
 sys.modules["fe_el.dolfinx_api"] = none = types.ModuleType("none")
 none.__getattr__ = lambda name: None
 import mpi4py
@@ -67,7 +68,8 @@ class Ahead(Direct):
                 [sys.executable, "-c", START, str(ROOT), *self.place, self.dispatcher.stats.cache_path],
                 stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
                 env={**os.environ, "NUMBA_CACHE_DIR": self.folder})
-        except OSError:
+        except (OSError, TypeError):  # no Python to start
+            shutil.rmtree(self.folder or "", ignore_errors=True)
             return
         atexit.register(self._end, 0)
 
@@ -79,10 +81,12 @@ class Ahead(Direct):
         try:
             process.wait(patience)
         except subprocess.TimeoutExpired:
+            pass
+        finally:  # also where the user interrupts
             process.kill()
             process.wait()
-        process.stdin.close()
-        shutil.rmtree(self.folder, ignore_errors=True)
+            process.stdin.close()
+            shutil.rmtree(self.folder, ignore_errors=True)
 
     def __call__(self, *arguments):
         if self.process is not None:
@@ -106,6 +110,9 @@ def compile_for(module, name, folder):
     loop = getattr(importlib.import_module(module), name)
     loop.dispatcher.compile(tuple(loop.kinds()))
     os.makedirs(folder, exist_ok=True)
+    for file in loop.files():
+        if file.suffix == ".nbi":  # no old list may name the new code
+            (Path(folder) / file.name).unlink(missing_ok=True)
     for file in loop.files():
         os.replace(file, Path(folder) / file.name)
     shutil.rmtree(own, ignore_errors=True)

@@ -46,7 +46,11 @@ class ContactChecks:
             message = (f"The contact force on particle {p.id[i]} near {p.position[i].tolist()} is "
                        f"{rows.force[i, :3].tolist()} (step {p.step}, rank {p.comm.rank}). Either two particles lie on one "
                        "point, or the step is too large for the law: insert without overlap, or use more steps_per_contact.")
-        raise_everywhere(p.comm, FloatingPointError, message)
+        try:
+            raise_everywhere(p.comm, FloatingPointError, message)
+        except FloatingPointError:
+            self.lists.forget_springs()
+            raise
 
     def _check_behind(self):
         """Stop if a particle's centre came onto or behind a wall in the last sub-steps."""

@@ -231,11 +231,12 @@ def neighbour_pairs(x, radius, owned, expected=0):
     grids = Grids(lower, size, shape, np.concatenate([[0], np.cumsum(shape.prod(1))]))
     cloud = Cloud(*_sorted_by_box(x, radius, level, grids))
     batch = Batch(*batch_for(cloud.start))
+    most = len(x) + 8  # candidates of one particle, in whole eights
     capacity = max(6 * len(x), expected + len(x)) + 64
     first, second = np.empty(capacity, np.uint32), np.empty(capacity, np.uint32)
     number = _search(batch, cloud, grids, owned, first, second)
-    if number + len(x) > capacity:
-        first, second = (np.empty(number + len(x), np.uint32) for _ in range(2))
+    if number + most > capacity:
+        first, second = (np.empty(number + most, np.uint32) for _ in range(2))
         _search(batch, cloud, grids, owned, first, second)
     return _by_first(first[:number], second[:number], owned)
 

@@ -47,6 +47,10 @@ class SavedLists:
             self._springs[:] = 0.0
         return self._springs[:number]
 
+    def forget_springs(self):
+        """Whatever a step that failed left in them: what is not a number stays so when it is multiplied by zero."""
+        self._springs = None
+
     def restore(self, state):
         """Springs for the particles of this rank, and walls where they were."""
         p, kept, same = self.particles, [], state["same"]
@@ -67,7 +71,7 @@ class SavedLists:
                 here &= found
             spring = rows["spring"][here].reshape(-1, self.width)
             kept.append(springs.Kept(order[place[here]], other[here].astype(np.int64), spring))
-        self._springs = None  # whatever a run that failed left in them
+        self.forget_springs()
         self.skin = None if np.isnan(same["skin"]) else float(same["skin"])
         self.restored, self.pairs = (kept, p.id.copy()), None
         self.age, self.rebuilds = int(same["age"]), int(same["rebuilds"])
