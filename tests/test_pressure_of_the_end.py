@@ -143,3 +143,20 @@ def test_light_particles_that_come_later_are_refused():
     beads.insert_at([(4e-3,) * 3], D, density=0.1 * RHO)
     with pytest.raises(ValueError, match="AddedMass"):
         coupling.to_fluid(1e-3)
+
+
+def test_a_crowd_that_begins_to_fall_in_water_falls_no_faster_than_freely():
+    """In its first step nothing is known of the pressure before: the weight of the water is no change to answer."""
+    mesh, _ = fe_el.box((0.01, 0.01, 0.03), (4, 4, 12))
+    down = (0.0, 0.0, -9.81)
+    water = fe_el.VolumeAveragedNavierStokes(mesh, density=1000.0, viscosity=1e-3, gravity=down)
+    beads = fe_el.Particles(mesh, 2500.0, down)
+    places = np.stack(np.meshgrid(*[np.arange(n) for n in (10, 10, 20)], indexing="ij"), -1).reshape(-1, 3)
+    beads.insert_at(1e-3 * (places + 0.5), 0.98e-3)
+    coupling = fe_el.Coupling.of(water, beads, [fe_el.Drag("beetstra"), fe_el.PressureGradient()])
+    coupling.to_fluid(1e-3)
+    water.advance(1e-3, coupling.fields)
+    coupling.to_particles(1e-3)
+    beads.advance(1e-3)
+    assert len(coupling.fields) == 6
+    assert -9.81e-3 * (1 - 1000.0 / 2500.0) < beads.velocity[:, 2].mean() < -0.8 * 9.81e-3 * (1 - 1000.0 / 2500.0)

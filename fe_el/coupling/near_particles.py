@@ -100,9 +100,11 @@ def _means(dofs, cells, values, out):
 class NearParticles:
     """Smoothing of fields that come from particles, and for them: :meth:`spread` and its transpose :meth:`back`.
 
-    With P the polynomial on the active rows, m their masses and e = 1 - P m, the part that P loses of a load at each row,
-    the map from loads to values is P + e g^T + g e^T - (e.m) g g^T. g has g.m = 1 and is zero but at the rim of the active
-    rows, where both are small; so the map is symmetric and keeps integrals and constants to round-off.
+    With P the polynomial on the active rows and m their masses, 1 - P m is the part that P loses of a load at each row: what
+    the polynomial loses on all rows, too, d, stays where it is; what is cut off, e = 1 - P m - d, goes to the rim. The map
+    from loads to values is P + d/m + e g^T + g e^T - (e.m) g g^T. g has g.m = 1 and is zero but at the rim of the active
+    rows, where both are small; so the map is symmetric and keeps integrals and constants to round-off. (All that is lost
+    at the rim would be a layer of as much as the tolerance times the depth of a bed, of either sign.)
 
     Args:
         smoothing (HelmholtzSmoothing): what is cut off.
@@ -189,15 +191,17 @@ class NearParticles:
         """Loads (nodes, k), which count on the active rows, become values in place; the first time P m is found, too."""
         of, comm, at, sums = self.smoothing, self.smoothing.nodes.comm, self.at, np.zeros((2, values.shape[1]))
         if self.lost is None:
-            mass, rim, self.lost = of.mass[at], self.rim[at], 1 - of.solve(of.mass[:, None], at)[at, 0]
+            mass, rim = of.mass[at], self.rim[at]
+            self.lost = 1 - of.missing[at] * mass - of.scale * of.solve(of.mass[:, None], at)[at, 0]
             rim_mass, self.lost_mass, all_mass = comm.allreduce(np.array([rim @ mass, self.lost @ mass, mass.sum()]))
             self.rim = rim / rim_mass if rim_mass else np.full(len(at), 1 / max(all_mass, 1e-300))
-        found = of.solve(values[:len(of.mass)], at)
+        found, load = of.solve(values[:len(of.mass)], at), values[at]
         _sums(at, self.lost, self.rim, values, sums)
         comm.Allreduce(MPI.IN_PLACE, sums)
         lost, at_rim = sums
         values.fill(0.0)
-        _fill(at, found, self.lost, self.rim, at_rim, lost - self.lost_mass * at_rim, values)
+        _fill(at, of.scale, found, of.missing, load, values)
+        _add_lost(at, self.lost, self.rim, at_rim, lost - self.lost_mass * at_rim, values)
 
 
 @njit
@@ -210,10 +214,17 @@ def _sums(at, lost, rim, load, out):
 
 
 @njit
-def _fill(at, found, lost, rim, as_lost, at_rim, values):
+def _fill(at, scale, found, missing, load, values):
     for n in range(len(at)):
         for k in range(values.shape[1]):
-            values[at[n], k] = found[at[n], k] + lost[n] * as_lost[k] + rim[n] * at_rim[k]
+            values[at[n], k] = scale * found[at[n], k] + missing[at[n]] * load[n, k]
+
+
+@njit
+def _add_lost(at, lost, rim, as_lost, at_rim, values):
+    for n in range(len(at)):
+        for k in range(values.shape[1]):
+            values[at[n], k] += lost[n] * as_lost[k] + rim[n] * at_rim[k]
 
 
 @njit

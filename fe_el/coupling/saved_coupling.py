@@ -13,6 +13,7 @@ class SavedCoupling:
     particles: Any
     smoothing: Any
     near: Any
+    linear: Any
     _kept: tuple[Any, ...] | None
     _mapped: tuple[Any, ...] | None
 
@@ -39,6 +40,6 @@ class SavedCoupling:
         self.answers = None if answers < 0 else bool(answers)
         self.over_filled_total, self._kept, self._mapped = int(state["same"]["over_filled_total"]), None, None
         steps, self.near = int(state["same"].get("steps_of_smoothing", -1)), None
-        if steps >= 0 and hasattr(self.smoothing, "near"):
+        if steps >= 0 and hasattr(self.smoothing, "near") and self.linear is None:
             self.near = self.smoothing.near(np.asarray(state["cells"]["smoothed"]) > 0)
             self.near.steps = steps

@@ -95,12 +95,15 @@ class HelmholtzSmoothing:
         self.middle, self.half = 0.5 * (high + low), max(0.5 * (high - low), 1e-12 * high)
         root = np.sqrt(high / low)
         rate = (root - 1) / (root + 1)
-        self.iterations = max(int(np.ceil(np.log(tolerance / 2) / np.log(max(rate, 1e-12)))), 2)
+        self.iterations = max(int(np.ceil(np.log(tolerance / 2) / np.log(max(rate, 1e-12)))), 2) + 1  # one for what is lost
         ratios = [self.half / self.middle]
         for _ in range(self.iterations - 1):
             ratios.append(1 / (2 * self.middle / self.half - ratios[-1]))
         rho = np.array(ratios)
         self.first, self.second = rho[1:] * rho[:-1], 2 * rho[1:] / self.half
+        found, comm = self.solve(self.mass[:, None], self._all)[:, 0], nodes.comm  # of a constant, nearly one
+        self.scale = float(np.divide(*comm.allreduce(np.array([self.mass.sum(), self.mass @ found]))))
+        self.missing = (1 - self.scale * found) / self.mass  # what the polynomial then loses of a load, over the mass
 
     def _spectrum(self, elements):
         """Bounds of the spectrum of D^-1 H: those of the elements (Fried 1972), or Lanczos' of the matrix with a tenth to
@@ -183,11 +186,8 @@ class HelmholtzSmoothing:
         nodes, n = self.nodes, self.nodes.owned_nodes
         if not field.shape[1]:
             return field.copy()
-        mean = nodes.comm.allreduce(nodes.volume @ field) / nodes.total
-        values = np.empty((nodes.nodes, field.shape[1]))
-        values[:n] = self.solve(nodes.load(field)[:n] - self.mass[:, None] * mean, self._all)
-        lost = nodes.comm.allreduce(self.mass @ values[:n]) / nodes.total
-        values[:n] += mean - lost
+        values, load = np.empty((nodes.nodes, field.shape[1])), nodes.load(field)[:n]
+        values[:n] = self.scale * self.solve(load, self._all) + self.missing[:, None] * load
         return nodes.means(nodes.node_halo.forward(values))
 
     def near(self, filled: np.ndarray, before: NearParticles | None = None) -> NearParticles:

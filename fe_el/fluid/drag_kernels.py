@@ -88,7 +88,7 @@ def share_of_viscosity(q, h, viscous, dt, left, lag, split):
         split[c] = viscous / (h[c] * h[c] * fading)
         whole = lag_of(left[c], dt * fading)
         if whole > 0.0:
-            lag[c] = dt * (1.0 - (1.0 - whole) ** (lag[c] / (dt * whole)))
+            lag[c] = dt * (1.0 - max(1.0 - whole, 0.0) ** (lag[c] / (dt * whole)))
 
 
 @njit(fastmath=FAST)

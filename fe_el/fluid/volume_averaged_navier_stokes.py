@@ -184,7 +184,8 @@ class VolumeAveragedNavierStokes(Transport, Projection, Ledger, SavedFluid):
             before=phi0, after=phi, rate=rate, last_rate=state.rate, drag=drag, source=source,
             share=phi if pressure_share is None else pressure_share,
             handed=fields[3].x.array[:n] if fields is not None and len(fields) > 3 else None,
-            answer=SolidsAnswer(*(f.x.array[:n] for f in fields[4:])) if fields is not None and len(fields) > 4 else None,
+            answer=SolidsAnswer(*(f.x.array[:n] for f in fields[4:]))
+            if fields is not None and len(fields) > 4 and self.step else None,  # the first step knows no pressure before it
             velocity=q, masses=masses, damping=damping, moves=moves,
             memory=Memory(state.gain, state.nodal_gain, state.fades, work.empty("left", n), work.empty("lag", n)))
 
