@@ -196,7 +196,7 @@ def test_forces_act_on_late_parcels_for_as_long_as_they_are_there(dimension, smo
     velocity, pressure = fem.Function(velocity), fem.Function(pressure)
     pressure.interpolate(lambda x: -300.0 * x[0])
     middle = (0.03, *[0.05] * (dimension - 1))
-    jet = fe_el.Injector(p, fe_el.PointSource([middle]), (0.0,) * dimension, 1e-3, number_rate=500.0)
+    jet = fe_el.Injector(p, fe_el.PointSource([middle]), (0.0,) * dimension, 3e-3, number_rate=500.0)
     smoothing = fe_el.HelmholtzSmoothing(p.mesh, 0.01) if smoothed else None
     coupling = fe_el.Coupling(p, velocity, pressure, 1.2, 1.8e-5, [fe_el.PressureGradient(), Constant()],
                               smoothing=smoothing)

@@ -188,6 +188,7 @@ class HelmholtzSmoothing:
             return field.copy()
         values, load = np.empty((nodes.nodes, field.shape[1])), nodes.load(field)[:n]
         values[:n] = self.scale * self.solve(load, self._all) + self.missing[:, None] * load
+        values[:n] += nodes.comm.allreduce(load.sum(0) - self.mass @ values[:n]) / nodes.total  # round-off
         return nodes.means(nodes.node_halo.forward(values))
 
     def near(self, filled: np.ndarray, before: NearParticles | None = None) -> NearParticles:
