@@ -5,6 +5,7 @@ from dolfinx import fem
 
 import fe_el
 from fe_el.dolfinx_api import scalar_space, vector_space
+from fe_el.nodes.linear_solver import FALLBACKS, is_there
 
 PI = np.pi
 
@@ -418,6 +419,20 @@ def test_petsc_options_reach_each_solver():
     finally:
         options.delValue("pressure_ksp_type")
     assert air.pressure_equation.solver.ksp.getType() == "fgmres" and air.transport_solver.ksp.getType() == "bcgs"
+
+
+def test_every_method_to_fall_back_on_can_be_made_and_solves():
+    """PETSc need not have been built with all of them."""
+    mesh, tags = fe_el.box((1.0, 1.0), (6, 6))
+    air = fe_el.VolumeAveragedNavierStokes(mesh, tags)
+    air.set_pressure(1)
+    air.advance(0.1)
+    solver, rhs = air.pressure_equation.solver, np.random.default_rng(1).normal(size=air.owned_nodes)
+    exact = solver.solve(rhs, np.zeros_like(rhs)).copy()
+    for method, preconditioner in FALLBACKS:
+        assert is_there("gamg") and not is_there("a preconditioner that nobody has written")
+        assert solver._try(solver._fallback(method, preconditioner), np.zeros_like(rhs))
+        assert np.allclose(solver.x.array, exact, rtol=1e-5, atol=1e-5 * np.abs(exact).max())
 
 
 def test_a_solver_falls_back_and_returns_to_its_own_method():

@@ -1,4 +1,6 @@
 """Krylov solvers that reuse their preconditioner while it is good."""
+from functools import lru_cache
+
 import numpy as np
 from petsc4py import PETSc
 
@@ -14,6 +16,19 @@ class SolverDiverged(RuntimeError):
 FALLBACKS = (("fgmres", "hypre"), ("fgmres", "asm"), ("preonly", "lu"))
 
 TRUCE = 50  # solves in which a method that has failed is not tried again
+
+
+@lru_cache(None)
+def is_there(preconditioner):
+    """Whether this PETSc was built with a preconditioner."""
+    trial = PETSc.PC().create(PETSc.COMM_SELF)
+    try:
+        trial.setType(preconditioner)
+        return True
+    except PETSc.Error:
+        return False
+    finally:
+        trial.destroy()
 
 
 class LinearSolver:
@@ -128,7 +143,7 @@ class LinearSolver:
         ksp.setOptionsPrefix(self.name + "_fallback_")
         ksp.setOperators(self.matrix)
         ksp.setType(method)
-        ksp.getPC().setType(preconditioner)
+        ksp.getPC().setType(preconditioner if is_there(preconditioner) else "gamg")  # PyPI's PETSc has no hypre
         if preconditioner == "lu":
             ksp.getPC().setFactorSolverType("mumps")
         if method == "fgmres":
