@@ -91,10 +91,9 @@ def test_a_run_from_a_checkpoint_makes_the_same_steps(tmp_path_factory):
 
 
 @pytest.mark.ranks
-@pytest.mark.parametrize("dt_star, rise", [(0.1, 1e-12), (10.0, 1e-12), (1000.0, 1e-6)])
-def test_energy_of_a_closed_system_never_grows(dt_star, rise):
-    """No gravity, random velocities of the particles, drag alone. At 1000 the drag of each step is another, and of what is
-    left of the energy, less than a thousandth, single steps may raise a part."""
+@pytest.mark.parametrize("dt_star", [0.1, 10.0, 1000.0])
+def test_energy_of_a_closed_system_never_grows(dt_star):
+    """No gravity, random velocities of the particles, drag alone."""
     scene = suspension()
     air, beads = scene.air, scene.beads
     air.gravity[:] = air.mean_pressure_gradient[:] = beads.gravity[:] = 0.0
@@ -106,7 +105,7 @@ def test_energy_of_a_closed_system_never_grows(dt_star, rise):
     for _ in range(8):
         scene.advance(dt)
         energy.append(scene.energy())
-    assert (np.diff(energy) <= rise * energy[0]).all() and energy[-1] < energy[0]
+    assert (np.diff(energy) <= 1e-12 * energy[0]).all()
 
 
 def test_large_steps_are_more_accurate():

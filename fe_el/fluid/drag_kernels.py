@@ -78,7 +78,7 @@ def share_of_viscosity(q, h, viscous, dt, left, lag, split):
     of this step.
 
     Of a lag that is nearly dt, a part per cent less would leave the cell many times what viscosity lets it have: the part
-    of the trust in it is that of its logarithm, of dt - lag.
+    of the trust in it is that of its logarithm, of dt - lag. It is convection's: viscosity's share is trusted fully.
     """
     for c in range(len(h)):
         speed = 0.0
@@ -88,7 +88,8 @@ def share_of_viscosity(q, h, viscous, dt, left, lag, split):
         split[c] = viscous / (h[c] * h[c] * fading)
         whole = lag_of(left[c], dt * fading)
         if whole > 0.0:
-            lag[c] = dt * (1.0 - max(1.0 - whole, 0.0) ** (lag[c] / (dt * whole)))
+            trust = split[c] + (1.0 - split[c]) * lag[c] / (dt * whole)
+            lag[c] = dt * (1.0 - max(1.0 - whole, 0.0) ** trust)
 
 
 @njit(fastmath=FAST)
