@@ -1,6 +1,7 @@
 """Restarts to the last bit: a run that goes on from a checkpoint is the run that wrote it, on as many ranks.
 
-Meshes are cut into slices, as dolfinx may part the second mesh of a process in another way than the first.
+Meshes are cut into slices, as dolfinx may part the second mesh of a process in another way than the first. Slices do not
+fix the order of cells and nodes in it, which follows messages: a run that is to go on to the last bit has the same mesh.
 """
 import numpy as np
 import pytest
@@ -12,7 +13,12 @@ DOWN = (0.0, 0.0, -9.81)
 
 
 class Scene:
-    """A scene whose ``parts`` a checkpoint keeps, and which ``go``es on by steps."""
+    """A scene whose ``parts`` a checkpoint keeps, and which ``go``es on by steps, on a new or a given ``(mesh, tags)``."""
+
+    def __init__(self, comm=MPI.COMM_WORLD, given=None):
+        self.given = given or self.cells(comm)
+        self.mesh, self.tags = self.given
+        self.build()
 
     def state(self):
         """Everything that particles, fluid and observers know, by particle number and by place: {name: array}."""
@@ -43,8 +49,11 @@ class Bed(Scene):
 
     dt = 5e-4
 
-    def __init__(self, comm=MPI.COMM_WORLD):
-        self.mesh, tags = fe_el.box((0.01, 0.01, 0.02), (2, 2, 4), comm, slices_along=2)
+    def cells(self, comm):
+        return fe_el.box((0.01, 0.01, 0.02), (2, 2, 4), comm, slices_along=2)
+
+    def build(self):
+        tags = self.tags
         self.beads = fe_el.Particles(self.mesh, 2500.0, DOWN)
         self.contacts = fe_el.Contacts(self.beads, fe_el.LinearSpringDashpot(500.0, 0.9, 0.3), (tags, (1, 2, 3, 4, 5)),
                                        steps_per_contact=12)
@@ -75,9 +84,11 @@ class Bed(Scene):
 class Suspension(Scene):
     """A periodic suspension in adaptive steps."""
 
-    def __init__(self, comm=MPI.COMM_WORLD):
-        size, down = (2.4e-3,) * 3, np.array(DOWN)
-        self.mesh, _ = fe_el.periodic_box(size, (3, 3, 3), comm=comm, slices_along=0)
+    def cells(self, comm):
+        return fe_el.periodic_box((2.4e-3,) * 3, (3, 3, 3), comm=comm, slices_along=0)
+
+    def build(self):
+        down = np.array(DOWN)
         self.beads = fe_el.Particles(self.mesh, 1500.0, down)
         mixture = 0.0954 * 1500.0 + 0.9046 * 1.3
         self.air = fe_el.VolumeAveragedNavierStokes(self.mesh, None, 1.3, 1.8e-5, down, 1e-11,
@@ -105,8 +116,11 @@ class Silo(Scene):
 
     dt = 1e-3
 
-    def __init__(self, comm=MPI.COMM_WORLD):
-        self.mesh, tags = fe_el.box((0.02, 0.01, 0.03), (4, 2, 6), comm, slices_along=2)
+    def cells(self, comm):
+        return fe_el.box((0.02, 0.01, 0.03), (4, 2, 6), comm, slices_along=2)
+
+    def build(self):
+        tags = self.tags
         self.beads = fe_el.Particles(self.mesh, 2500.0, DOWN)
         self.beads.remove_at(tags, 5)
         law = fe_el.LinearSpringDashpot(500.0, 0.5, 0.5, rolling=fe_el.RollingFriction(0.1, True))
@@ -129,8 +143,11 @@ class Drum(Scene):
 
     dt = 1e-3
 
-    def __init__(self, comm=MPI.COMM_WORLD):
-        self.mesh, tags = fe_el.box((0.03, 0.03, 0.008), (3, 3, 1), comm, slices_along=0)
+    def cells(self, comm):
+        return fe_el.box((0.03, 0.03, 0.008), (3, 3, 1), comm, slices_along=0)
+
+    def build(self):
+        tags = self.tags
         self.beads = fe_el.Particles(self.mesh, 2500.0, (0.0, -9.81, 0.0))
         turn, axis = (0.0, 0.0, 12.0), (0.015, 0.015, 0.0)
         walls = [fe_el.CylinderWall(axis, (0, 0, 1), 0.0145, angular_velocity=turn), fe_el.FacetWalls(tags, 5),
@@ -158,26 +175,31 @@ def compare(one, other, check):
 
 def same_bits(name, a, b):
     assert a.shape == b.shape, name
-    if MPI.COMM_WORLD.size == 1:
-        assert np.array_equal(a, b), (name, np.abs(a - b).max())
-    else:  # a second scene's solvers and sums may part numbers otherwise; collisions make 30 of round-off in ten steps
-        scale = np.abs(np.nan_to_num(b.astype(float))).max(initial=0.0) if b.dtype.kind in "fiub" else 0.0
-        assert np.array_equal(a, b) or np.allclose(a, b, 1e-8, 1e-8 * scale, equal_nan=True), (name, np.abs(a - b).max())
+    assert np.array_equal(a, b), (name, np.abs(a - b).max())
+
+
+def same_to_round_off(name, a, b):
+    assert a.shape == b.shape, name
+    scale = np.abs(np.nan_to_num(b.astype(float))).max(initial=0.0) if b.dtype.kind in "fiub" else 0.0
+    assert np.array_equal(a, b) or np.allclose(a, b, 1e-8, 1e-8 * scale, equal_nan=True), (name, np.abs(a - b).max())
 
 
 @pytest.mark.ranks
 @pytest.mark.parametrize("scene", SCENES)
 def test_a_restarted_run_is_the_run_that_wrote_the_checkpoint_to_the_last_bit(folder, scene):
+    """Of fluids on one and two ranks: from three on PETSc adds up what several ranks have in the order of their messages, in
+    matrices of sums and in multigrid, and collisions make some thousand of that round-off in 10 ms, in 20 steps."""
     whole = scene()
     whole.fill()
     whole.go(30)
     fe_el.save_checkpoint(folder + "/a.h5", *whole.parts)
-    again = scene()
+    again = scene(given=whole.given)
     fe_el.load_checkpoint(folder + "/a.h5", *again.parts)
     compare(whole.state(), again.state(), same_bits)
-    whole.go(50)
-    again.go(50)
-    compare(whole.state(), again.state(), same_bits)
+    exact = whole.mesh.comm.size < 3 or not hasattr(whole, "air")
+    for run in (whole, again):
+        run.go(50 if exact else 20)
+    compare(whole.state(), again.state(), same_bits if exact else same_to_round_off)
 
 
 @pytest.mark.ranks
@@ -207,7 +229,7 @@ def test_a_state_that_was_just_loaded_can_be_saved(folder):
     whole.fill()
     whole.go(60)
     fe_el.save_checkpoint(folder + "/a.h5", *whole.parts)
-    again, third = Silo(), Silo()
+    again, third = Silo(given=whole.given), Silo(given=whole.given)
     fe_el.load_checkpoint(folder + "/a.h5", *again.parts)
     fe_el.save_checkpoint(folder + "/b.h5", *again.parts)
     fe_el.load_checkpoint(folder + "/b.h5", *third.parts)
