@@ -46,12 +46,31 @@ def nameless(node):
     return isinstance(node, ast.Tuple) and len(node.elts) > 4 and all(isinstance(e, maybe) for e in node.elts)
 
 
+def makes_array(node):
+    """Whether an expression makes an array, or is a part or a view of one."""
+    function = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
+    return (function.startswith(("np.empty", "np.zeros", "np.ones", "np.full", "np.arange"))
+            or function.endswith((".copy", ".view", ".astype", ".reshape"))
+            or isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Slice))
+
+
+def arrays_made_in(function):
+    """Names to which a function gives arrays."""
+    for node in ast.walk(function):
+        for target in node.targets if isinstance(node, ast.Assign) else ():
+            several = isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple)
+            for name, value in zip(target.elts, node.value.elts) if several else ((target, node.value),):
+                if makes_array(value):
+                    yield ast.unparse(name)
+
+
 def test_more_than_four_arrays_travel_by_name():
     """No function is given or gives back more than four nameless things at once, nor does one take a record apart by place.
 
-    What compiled loops give back are numbers: they fill arrays.
+    Compiled loops may give back more numbers, but no arrays.
     """
-    faults = [f"{file}:{call.lineno} hands over a tuple" for file, call in nodes(ast.Call) if any(map(nameless, call.args))]
+    faults = [f"{file}:{call.lineno} hands over a tuple" for file, call in nodes(ast.Call)
+              if any(map(nameless, (*call.args, *(k.value for k in call.keywords))))]
     for file, assignment in nodes(ast.Assign):
         for target in assignment.targets:
             apart = isinstance(target, ast.Tuple) and len(target.elts) > 4
@@ -61,17 +80,22 @@ def test_more_than_four_arrays_travel_by_name():
                 faults.append(f"{file}:{assignment.lineno} keeps a tuple")
     for file, function in nodes(ast.FunctionDef):
         compiled = any(word in ast.unparse(d) for d in function.decorator_list for word in ("njit", "part", "by_dimension"))
-        for node in ast.walk(function) if not compiled else ():
-            if isinstance(node, ast.Return) and isinstance(node.value, ast.Tuple) and len(node.value.elts) > 4:
-                faults.append(f"{file}: {function.name} gives back a tuple")
+        made = set(arrays_made_in(function))
+        for node in ast.walk(function):
+            if isinstance(node, (ast.Return, ast.Yield)) and isinstance(node.value, ast.Tuple):
+                arrays = [e for e in node.value.elts if not compiled or ast.unparse(e) in made or makes_array(e)]
+                if len(arrays) > 4:
+                    faults.append(f"{file}: {function.name} gives back a tuple")
     assert not faults
 
 
 def test_what_begins_with_an_underscore_is_used_at_home_only():
-    """No attribute of another object that begins with one underscore."""
+    """No attribute of another object that begins with one underscore, and no such name of another file."""
     faults = [f"{file}:{node.lineno} {ast.unparse(node)}" for file, node in nodes(ast.Attribute)
               if node.attr.startswith("_") and not node.attr.endswith("__") and node.attr not in OF_OTHERS
               and not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls"))]
+    faults += [f"{file} imports {name}" for file, tree in TREES.items() for name in imported(tree)
+               if name.startswith("fe_el.") and any(part.startswith("_") for part in name.split("."))]
     assert not faults
 
 

@@ -18,7 +18,7 @@ from fe_el.particles.solids_stress import SolidsStress
 from fe_el.particles.wall_facets import facets_at_nodes, walls_of_facets
 
 if TYPE_CHECKING:
-    from fe_el.particles.contacts.wall_shapes import _Wall
+    from fe_el.particles.contacts.wall_shapes import Wall
 
 NONE_LATE = np.zeros(0)  # Particles puts back those who came in during the step
 
@@ -62,7 +62,7 @@ class MultiphasePIC:
     steps_last, largest_overlap = 1, 0.0  # as of Contacts
 
     def __init__(self, particles: "Particles", stress: SolidsStress | None = None,
-                 walls: "_Wall | Sequence[Any] | None" = None, restitution: float = 0.9, wall_restitution: float = 0.9,
+                 walls: "Wall | Sequence[Any] | None" = None, restitution: float = 0.9, wall_restitution: float = 0.9,
                  tangential_restitution: float = 1.0, tolerance: float = 1e-4, iterations: int = 200) -> None:
         of_kind("particles", particles, Particles)
         self.particles, self.mesh, self.comm = particles, particles.mesh, particles.comm

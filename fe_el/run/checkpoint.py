@@ -2,6 +2,7 @@
 import hashlib
 import io
 import os
+import re
 import time
 from pathlib import Path
 from typing import Any
@@ -168,8 +169,12 @@ def _read(path):
         return None, f"There is no checkpoint {path}."
     content = path.read_bytes()
     if content[:HEADER] != _header(memoryview(content)[HEADER:]):
-        if content.startswith(b"fe_el checkpoint, version ") and not content.startswith(_header(b"")[:27]):
-            return None, f"The checkpoint {path} is of another version than {VERSION}; read it with the fe_el that wrote it."
+        theirs = re.match(rb"fe_el checkpoint, version (\d+)\n", content)
+        what = ("plain HDF5, as fe_el 0.1.0 wrote it" if content.startswith(b"\x89HDF") else
+                f"of version {int(theirs[1])}" if theirs and int(theirs[1]) != VERSION else "")
+        if what:
+            return None, (f"The checkpoint {path} is {what}, and this fe_el reads version {VERSION}; read it with the fe_el "
+                          "that wrote it.")
         return None, (f"The file {path} is damaged, or no checkpoint of this version: its checksum is not that of its "
                       "content. Go on from an older one.")
     return _groups(content), None

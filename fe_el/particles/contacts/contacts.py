@@ -26,7 +26,7 @@ from fe_el.particles.particles import Particles
 
 if TYPE_CHECKING:
     from fe_el.particles.contacts.contact_laws import HertzMindlin, LinearSpringDashpot
-    from fe_el.particles.contacts.wall_shapes import _Wall
+    from fe_el.particles.contacts.wall_shapes import Wall
 
 _kick, _drift_on = Direct(velocity_verlet.kick), Direct(velocity_verlet.drift_on)
 _near_numbers, _forces_of_walls = Direct(near_numbers), Direct(forces_of_walls)
@@ -67,7 +67,7 @@ class Contacts(SavedContacts, ContactChecks):
     """
 
     def __init__(self, particles: Particles, law: "LinearSpringDashpot | HertzMindlin | ArrayLaw",
-                 walls: "_Wall | Sequence[Any] | None" = None,
+                 walls: "Wall | Sequence[Any] | None" = None,
                  wall_law: "LinearSpringDashpot | HertzMindlin | ArrayLaw | None" = None, steps_per_contact: int = 50,
                  skin: float | None = None) -> None:
         of_kind("particles", particles, Particles)

@@ -12,7 +12,7 @@ from fe_el.compiled.borrowed import borrowed
 from fe_el.compiled.cache import njit
 from fe_el.compiled.direct_calls import Direct
 from fe_el.compiled.parts import part
-from fe_el.particles.contacts.pair_batches import Batch, add_to_batch, batch_for, pairs_in_batch
+from fe_el.particles.contacts.pair_batches import add_to_batch, batch_for, pairs_in_batch
 
 
 class Grids(NamedTuple):
@@ -230,7 +230,7 @@ def neighbour_pairs(x, radius, owned, expected=0):
         shape[g] = (extent / size[g]).astype(np.int64) + 1
     grids = Grids(lower, size, shape, np.concatenate([[0], np.cumsum(shape.prod(1))]))
     cloud = Cloud(*_sorted_by_box(x, radius, level, grids))
-    batch = Batch(*batch_for(cloud.start))
+    batch = batch_for(cloud.start)
     most = len(x) + 8  # candidates of one particle, in whole eights
     capacity = max(6 * len(x), expected + len(x)) + 64
     first, second = np.empty(capacity, np.uint32), np.empty(capacity, np.uint32)

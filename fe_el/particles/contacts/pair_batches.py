@@ -28,7 +28,7 @@ def batch_for(start):
     most = (14 * crowd // 8 + 2) * 8
     x, y, z, reach = np.empty(most), np.empty(most), np.empty(most), np.empty(most)
     near = np.empty(most, np.uint8)
-    return np.empty(most, np.uint32), x, y, z, reach, near, near.view(np.uint64)
+    return Batch(np.empty(most, np.uint32), x, y, z, reach, near, near.view(np.uint64))
 
 
 @part

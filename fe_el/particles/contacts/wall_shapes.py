@@ -24,7 +24,7 @@ def _direction(name, value, wanted):
     return v if abs(length - 1) < 1e-12 else v / length  # one that is of length 1 already stays to the last digit
 
 
-class _Wall:
+class Wall:
     """A wall with a material and a rigid motion: ``velocity`` [m/s] and ``angular_velocity`` [1/s] about ``point`` [m].
 
     What is set anew between two steps counts from the next step on; ``point`` and direction of planes, cylinders and
@@ -80,7 +80,7 @@ class _Wall:
         self.point, self.velocity, self.angular_velocity = motion[:3].copy(), motion[3:6].copy(), motion[6:].copy()
 
 
-class FacetWalls(_Wall):
+class FacetWalls(Wall):
     """Tagged boundary facets of the mesh.
 
     The facets stay where they are; ``velocity`` and ``angular_velocity`` are those of their surface (a conveyor, a drum).
@@ -101,7 +101,7 @@ class FacetWalls(_Wall):
         self.facet_tags, self.groups = facet_tags, groups
 
 
-class PlaneWall(_Wall):
+class PlaneWall(Wall):
     """A plane through ``point`` whose ``normal`` points to the particles; it travels with ``velocity``.
 
     Raises:
@@ -126,7 +126,7 @@ class PlaneWall(_Wall):
         self.point, self.normal = point.copy(), shape[:3].copy()
 
 
-class CylinderWall(_Wall):
+class CylinderWall(Wall):
     """An infinite cylinder around ``axis`` through ``point``; particles are inside it, or outside of it if asked.
 
     Raises:

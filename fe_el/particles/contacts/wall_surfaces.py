@@ -7,13 +7,13 @@ from numpy.typing import ArrayLike
 
 from fe_el.checks import numbers, positive_number
 from fe_el.compiled.cache import njit
-from fe_el.particles.contacts.wall_shapes import SURFACE, _Wall
+from fe_el.particles.contacts.wall_shapes import SURFACE, Wall
 
 MERGED = 1e-9  # vertices closer than this share of the surface's size are one
 FLAT = 1e-12  # triangles of less area than this share of the size squared are left out
 
 
-class SurfaceWall(_Wall):
+class SurfaceWall(Wall):
     """A surface of triangles, for instance from an STL file, that moves as a rigid body; particles feel both of its sides.
 
     The triangles need not be facets of the mesh, and may lie partly outside of it; the fluid does not feel them. They move
