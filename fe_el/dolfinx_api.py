@@ -37,6 +37,7 @@ import ufl  # noqa: E402
 from dolfinx import cpp, fem, geometry, io  # noqa: E402
 from dolfinx import mesh as dmesh  # noqa: E402
 
+FOUND = {"dolfinx": dolfinx.__version__, "petsc": ".".join(map(str, PETSc.Sys.getVersion()))}  # by whatever name installed
 OLD, NEW = VERSION < (0, 6), VERSION >= (0, 10)
 if not OLD:
     import basix.ufl

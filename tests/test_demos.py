@@ -38,6 +38,7 @@ from demos.benchmarks import (
     long_run,
     mp_pic_against_contacts,
     parcel_speed,
+    platforms,
     round_off,
     stability_map,
 )
@@ -278,6 +279,20 @@ def test_copies_of_a_periodic_tile_move_alike():
         moved.append((beads.position[np.argsort(beads.id)] - start).reshape(-1, 1000, 3))
     size = np.abs(moved[0]).max()
     assert size > 1e-7 and np.abs(moved[1] - moved[0]).max() < 1e-9 * size
+
+
+def test_platforms(folder, capsys, monkeypatch):
+    """One run beside itself has the same figures; beside one with a figure that is off by a millionth it has not."""
+    monkeypatch.setattr(platforms, "SCENES", {"own_weak_form": (own_weak_form.main, {"end_time": 2e-3}, ("mean_velocity",))})
+    first = platforms.main(("own_weak_form",), folder + "/a", progress=False)
+    os.makedirs(folder + "/b")
+    with open(folder + "/b/summary.json", "w") as file:
+        json.dump(first | {"own_weak_form_mean_velocity": 1.000001 * first["own_weak_form_mean_velocity"]}, file)
+    assert platforms.compare([folder + "/a", folder + "/a"]) == 0.0
+    assert platforms.compare([folder + "/a", folder + "/b"]) == pytest.approx(1e-6)
+    said = capsys.readouterr().out
+    assert ": the same within" in said and "NOT the same within" in said
+    assert f"{first['own_weak_form_processor_time']:.2f} s" in said and f"dolfinx {first['version_dolfinx']}" in said
 
 
 @pytest.mark.ranks

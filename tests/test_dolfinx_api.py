@@ -18,7 +18,7 @@ from fe_el import dolfinx_api as api
 ROOT = Path(__file__).resolve().parents[1]
 CHANGED = (r"\.FunctionSpace\(|VectorFunctionSpace|VectorElement|MixedElement|\.functionspace\(|dofmap\.array"
            r"|list\.array|ufl_element\(|gmshio|dolfinx\.__version__|LinearProblem|import h5py|BoundingBoxTree|\._cpp_object"
-           r"|\.VERSION|\.OLD\b|\.NEW\b")
+           r"|\.VERSION|\.OLD\b|\.NEW\b|import .*\b(OLD|NEW|VERSION)\b|hasattr\((dolfinx|fem|PETSc|ufl|basix|dmesh), ")
 
 
 @pytest.mark.parametrize("package, said", [

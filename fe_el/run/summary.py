@@ -10,6 +10,7 @@ from typing import Any
 from mpi4py import MPI
 
 from fe_el.compiled.compile_time import compile_seconds
+from fe_el.dolfinx_api import FOUND
 from fe_el.parallel.exchange import raise_everywhere
 
 
@@ -28,8 +29,8 @@ def stage_seconds(*parts: Any) -> dict[str, Any]:
 
 def versions():
     """Versions of what the numbers depend on, as flat keys."""
-    out = {"python": sys.version.split()[0]}
-    for name in ("fe_el", "fenics-dolfinx", "petsc4py", "numba", "numpy"):
+    out = {"python": sys.version.split()[0]} | {"version_" + name: version for name, version in FOUND.items()}
+    for name in ("fe_el", "petsc4py", "numba", "numpy"):
         try:
             out["version_" + name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
