@@ -1,4 +1,6 @@
 """Meshes from gmsh: what is no mesh for fe_el is refused in a sentence, and the next read works."""
+import sys
+
 import pytest
 from mpi4py import MPI
 
@@ -96,3 +98,15 @@ def test_groups_by_name_and_a_mesh_in_millimetres(folder):
                 call(bad)
     with pytest.raises(ValueError, match="scale"):
         fe_el.read_mesh(path, scale=0.0)
+
+
+@pytest.mark.parametrize("module, said", [("raise OSError('libGLU.so.1: cannot open shared object file')", "libGLU.so.1"),
+                                          ("raise ModuleNotFoundError('No module named gmsh')", "No module named gmsh")])
+def test_a_gmsh_that_cannot_be_loaded_is_said_in_one_sentence(tmp_path, monkeypatch, module, said):
+    """As its wheel on a machine without the libraries of a screen; with what to install."""
+    (tmp_path / "gmsh.py").write_text(module)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "gmsh", raising=False)
+    for read in (fe_el.read_mesh, fe_el.mesh_geo):
+        with pytest.raises(ImportError, match=f"cannot be loaded .*{said}.*; install .*apt-get install libgl1"):
+            read(tmp_path / "a.msh")

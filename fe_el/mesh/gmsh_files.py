@@ -1,4 +1,5 @@
 """Meshes from gmsh's files, with the numbers of their physical groups."""
+import importlib
 import re
 import tempfile
 from pathlib import Path
@@ -16,6 +17,20 @@ if TYPE_CHECKING:
     from dolfinx.mesh import Mesh
 
 
+def import_gmsh() -> Any:
+    """The module gmsh.
+
+    Raises:
+        ImportError: where it is missing, or its wheel does not find libraries of a screen, which it always wants.
+    """
+    try:
+        return importlib.import_module("gmsh")
+    except (ImportError, OSError) as error:
+        raise ImportError(f"Meshes of gmsh need its Python module, which cannot be loaded ({error}); install Debian's "
+                          "python3-gmsh, or pip install gmsh and, on Debian and Ubuntu, apt-get install libgl1 "
+                          "libglu1-mesa libxcursor1 libxft2 libxinerama1 libgomp1.") from None
+
+
 def read_mesh(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, dimension: int = 3, slices_along: int | None = None,
               scale: float = 1.0, balance: Balance = None) -> "tuple[Mesh, Any, Any]":
     """Read a gmsh ``.msh`` file with physical groups: (mesh, cell tags, facet tags).
@@ -31,7 +46,7 @@ def read_mesh(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, dimension: int 
         ValueError: for a file that gmsh cannot read, cells that are not simplices, or cells that are not in exactly one
             group.
     """
-    import gmsh
+    gmsh = import_gmsh()
     end_all_ranks_on_errors(comm)
     scale, dimension = positive_number("scale of the mesh", scale), _dimension(dimension)
     if not isinstance(path, (str, Path)):
@@ -60,7 +75,7 @@ def mesh_geo(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, dimension: int =
         FileNotFoundError: if there is no such file.
         ValueError: for a parameter that the file does not define in ``DefineConstant``, or cells that are not simplices.
     """
-    import gmsh
+    gmsh = import_gmsh()
     end_all_ranks_on_errors(comm)
     dimension = _dimension(dimension)
     parameters = {name: finite_number(f"parameter {name} of the geometry", value) for name, value in parameters.items()}
