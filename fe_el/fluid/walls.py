@@ -207,7 +207,7 @@ class WallFriction:
         whole = air.work.empty("drag_with_walls", air.num_cells)
         whole[:] = step.drag
         unresolved_friction(self.facets, air.volume, step.stress, step.drag, self.coefficient, whole)
-        if self.moves:
+        if self.moves and self.coefficient.any():
             pull = self.coefficient[:, None] * self.velocity.mean(1) / air.volume[self.facets.cell, None]
             source = source.copy()
             np.add.at(source, self.facets.cell, pull)
