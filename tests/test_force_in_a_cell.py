@@ -7,8 +7,11 @@ import fe_el
 from fe_el.dolfinx_api import scalar_space, vector_space
 
 
-def mobility(number, steps, cells=6, drag_coefficient=0.0):
-    """Velocity of the cell times 6 pi mu h / F in a closed box; h: edge of the cubes, ``number``: nu dt / h^2."""
+def mobility(number, steps, cells=6, drag_coefficient=0.0, iterations=None):
+    """Velocity of the cell times 6 pi mu h / F in a closed box; h: edge of the cubes, ``number``: nu dt / h^2.
+
+    ``iterations``: list that gets those of the pressure in each step.
+    """
     mesh, tags = fe_el.box((1.0, 1.0, 1.0), (cells,) * 3)
     air = fe_el.VolumeAveragedNavierStokes(mesh, tags, density=1.0, viscosity=1.0, tolerance=1e-9)
     for side in range(1, 7):
@@ -22,30 +25,44 @@ def mobility(number, steps, cells=6, drag_coefficient=0.0):
     source.x.array[3 * one + 2] = 1e-6 / air.volume[one]
     for _ in range(steps):
         air.advance(number / cells ** 2, (void, drag, source))
+        if iterations is not None:
+            iterations.append(air.last_step.pressure_iterations)
     velocity = air.velocity.x.array[3 * one + 2]
     return 6 * np.pi / cells * velocity / (1e-6 - drag_coefficient * velocity)
 
 
-def test_velocity_does_not_depend_on_the_step():
-    """Near that of Taylor-Hood elements on meshes of such cubes (2.15 to 2.32), from short steps to those that are far
-    longer than viscosity needs across the box; there pressure comes about over many steps, and is 15 % less at first."""
-    found = np.array([mobility(0.05, 250), mobility(0.5, 40), mobility(5.0, 50), mobility(500.0, 50), mobility(1e4, 50)])
-    assert found.min() > 2.1 and found.max() < 1.2 * found.min() and found[:3].max() < 1.03 * found[:3].min()
+@pytest.fixture(scope="module")
+def steady():
+    """Of short steps; Taylor-Hood elements on meshes of such cubes have 2.15 to 2.32."""
+    return mobility(0.05, 250)
+
+
+def test_velocity_does_not_depend_on_the_step(steady):
+    """From short steps to those that are far longer than viscosity needs across the box."""
+    found = np.array([steady, mobility(0.5, 40), mobility(5.0, 20), mobility(500.0, 10), mobility(1e4, 10)])
+    assert found.min() > 2.1 and found.max() < 1.03 * found.min()
 
 
 @pytest.mark.parametrize("drag_coefficient", [0.0, np.pi, 100 * np.pi])
-@pytest.mark.parametrize("number", [0.5, 5.0, 500.0])
-def test_a_force_or_a_drag_that_sets_in_is_answered_by_viscosity_in_the_first_step(number, drag_coefficient):
-    """Not by the fluid's inertia alone, which would give 50 to 50,000."""
-    assert 1.7 < mobility(number, 1, 6, drag_coefficient) < 3.3
+@pytest.mark.parametrize("number", [5.0, 500.0, 1e4])
+def test_a_force_or_a_drag_that_sets_in_is_answered_by_viscosity_in_the_first_step(steady, number, drag_coefficient):
+    """Not by the fluid's inertia alone, which would give 500 to a million, nor without the pressure that belongs to it."""
+    for steps in (1, 2, 10):
+        assert mobility(number, steps, 6, drag_coefficient) == pytest.approx(steady, rel=0.06)
+
+
+def test_a_force_that_fits_takes_no_iteration_of_the_pressure():
+    """But the step in which it sets in, and what is left of that in the next."""
+    iterations = []
+    mobility(50.0, 10, iterations=iterations)
+    assert 1 <= iterations[0] <= 4 and sum(iterations[1:]) <= 2 and iterations[-1] == 0
 
 
 @pytest.mark.parametrize("number, steps", [(0.05, 250), (5.0, 60)])
 @pytest.mark.parametrize("strength", [1.0, 100.0])
-def test_body_held_by_drag_feels_the_same_velocity(strength, number, steps):
+def test_body_held_by_drag_feels_the_same_velocity(steady, strength, number, steps):
     """Drag that is weak and strong against what the fluid resists."""
-    bound = 0.01 if number < 1 else 0.06
-    assert mobility(number, steps, 6, strength * np.pi) == pytest.approx(mobility(0.05, 250), rel=bound)
+    assert mobility(number, steps, 6, strength * np.pi) == pytest.approx(steady, rel=0.01 if number < 1 else 0.03)
 
 
 def sphere_error(ratio, places=3, cells=8, reynolds=0.08):
@@ -108,5 +125,6 @@ def strongest_flow(d, ends, number, strength, redrawn, steps=40):
 @pytest.mark.parametrize("number, strength", [(0.3, 1e5), (30.0, 1e5), (1e3, 1e2), (1e4, 1e5)])
 @pytest.mark.parametrize("d, ends", [(2, "box"), (2, "duct"), (3, "box"), (3, "duct")])
 def test_flow_among_random_drag_stays_bounded_beside_walls(d, ends, number, strength, redrawn):
-    """At Courant numbers up to 1000, in steps up to 10,000 times what viscosity needs across a cell."""
-    assert strongest_flow(d, ends, number, strength, redrawn) < (8.0 if redrawn else 2.0)
+    """At Courant numbers up to 1000, in steps up to 10,000 times what viscosity needs across a cell; in the box bodies give
+    it no more than their own speed has."""
+    assert strongest_flow(d, ends, number, strength, redrawn) < (2.0 if ends == "duct" else 1.0)

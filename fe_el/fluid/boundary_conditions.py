@@ -156,7 +156,7 @@ class Boundaries(CellNodeFluid):
     def check_closed(self, step: StepState) -> None:
         """Raise ``ValueError`` if more fluid comes into a domain without outlet than room for it: by inlets, sources,
         particles."""
-        made, size = cell_kernels.totals(step.supply, self.volume)
+        made, size = cell_kernels.totals(step.acting.supply, self.volume)
         come = step.inflow.sum()
         sums = self.comm.allreduce(np.array([-come, -made, abs(come) + size, self.volume.sum()]))
         net = sums[0] + sums[1]

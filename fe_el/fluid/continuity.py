@@ -96,7 +96,7 @@ class Ledger(CellNodeFluid):
         q = self.velocity.x.array.reshape(-1, d)[:self.num_cells]
         if step.answer is not None:
             q = q + step.answered / step.after[:, None]
-        mass_balance(self.dofs, self.gradient, self.volume, step.after, step.supply, q, residual, scale)
+        mass_balance(self.dofs, self.gradient, self.volume, step.after, step.acting.supply, q, residual, scale)
         residual += step.inflow
         self.complete(residual, scale)
         residual[self.fixed_pressure] = 0.0

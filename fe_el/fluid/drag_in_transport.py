@@ -1,5 +1,6 @@
 """Transport with drag inside, for steps that are long against the viscous fading of what one cell alone feels."""
 from fe_el.fluid import drag_kernels
+from fe_el.fluid.coupled_pressure import CoupledPressure
 from fe_el.fluid.records import Drag, Faded
 from fe_el.fluid.relaxation import VISCOUS, fade
 from fe_el.parallel.messages import largest
@@ -12,13 +13,14 @@ class DragInTransport:
 
     Such a force is balanced by viscosity within 1/k, k the rate at which what the nodes do not carry, r = q - mean u, fades.
     Exchange knows the fluid's inertia alone. Where a step is longer than 1/k, transport foresees the gain g = p + b of the
-    cells: p by pressure, as of the last step (less where drag goes away, which had balanced it), and b by drag A and source
-    B of this step, all implicit, with S = rho phi, the part ``left`` of r, and dt - lag of a gain that stays in r:
+    cells: p by body force and pressure, and b by drag A (with that of walls) and source B of this step, all implicit, with
+    S = rho phi, the part ``left`` of r, and dt - lag of a gain that stays in r:
 
         S b = B - A (mean new + r'),   r' = left r + (dt - lag) (g - mean nodal gain).
 
     Nodes are given S g and the momentum that r loses, S (r_0 - r') / dt, by viscosity inside the implicit solve, which so
-    has drag on its diagonal. Exchange then starts from mean new + r' - dt g: it finds the same drag, and what pressure
+    has drag on its diagonal. The pressure is that of the last step, and then what continuity makes of it: see
+    :class:`CoupledPressure`. Exchange starts from mean new + r' - dt g: it finds the same drag, and what pressure still
     changes. Momentum is exact whatever was foreseen.
 
     Args:
@@ -31,24 +33,29 @@ class DragInTransport:
     def __init__(self, fluid):
         self.fluid = fluid
         self.rate = VISCOUS[fluid.dimension - 2] * fluid.viscosity / fluid.density  # times 1/h^2
+        self.coupled_pressure = CoupledPressure(fluid)
         self.fastest = self.rate * largest(fluid.ranks, float((1.0 / fluid.h ** 2).max(initial=0.0)))
 
     def start(self, step):
         """Whether the step has drag or sources, and is long enough."""
-        air, state = self.fluid, self.fluid.state
+        air = self.fluid
         step.drag_inside = not air.upwind and self.fastest * step.dt > FASTEST and bool(
             largest(air.ranks, float(drag_kernels.any_of(step.drag, step.source))))
-        if step.drag_inside and not state.drag_known:  # the first such step: what was gained counts as drag
-            state.drag_gain[:] = state.gain
 
     def add(self, step, load):
         """Add to the matrix of transport and its load (nodes, d)."""
-        air, work, state = self.fluid, self.fluid.work, self.fluid.state
-        split, part = work.empty("viscous_share", air.num_cells), work.empty("drag_part", air.num_cells)
-        drag_kernels.share_of_viscosity(step.velocity, air.h, self.rate, step.dt, step.memory.left, step.memory.lag, split)
-        self.seen = Drag(step.drag, state.last_drag, step.source, state.drag_gain, split, part)
-        drag_kernels.drag_in_transport(air.cells, step.numbers, step.masses, air.transport_matrix.entries, self.seen,
-                                       step.velocity, step.nodal_velocity, step.memory, load)
+        air, work, memory, held = self.fluid, self.fluid.work, step.memory, self.fluid.pressure_equation.held
+        pressure = work.empty("known_pressure", air.nodes)
+        pressure[:] = air.pressure.x.array
+        pressure[held] = air.pressure_equation.at_outlets()[held]
+        self.seen = Drag(*(work.empty(f"seen_{k}", air.num_cells) for k in range(5)), pressure)
+        drag_kernels.share_of_viscosity(step.velocity, air.h, self.rate, step.dt, memory.left, memory.lag, self.seen.split)
+        drag_kernels.drag_in_transport(air.cells, step.numbers, step.masses, air.transport_matrix.entries, step.acting,
+                                       self.seen, step.velocity, step.nodal_velocity, memory, load)
+
+    def correct(self, step, new, rhs, system):
+        """Give the ``new`` nodal velocity the pressure of continuity, with its ``rhs`` and ``system``."""
+        self.coupled_pressure.correct(step, self.seen, new, rhs, system)
 
     def close(self, step, new):
         """What cells keep, and the momentum that faded by convection, per node of this rank, for the ``new`` nodal
@@ -63,10 +70,3 @@ class DragInTransport:
         air.complete(step.nodal_mass, step.given)
         drag_kernels.before_exchange(air.dofs, step.dt, q, u, step.given, step.nodal_mass, gain, step.kept, fades)
         return defect
-
-    def keep(self, step, q):
-        """Remember what drag and sources gave in this step, if the next may ask for it; ``q``: velocity of the cells now."""
-        air, state = self.fluid, self.fluid.state
-        state.drag_known = step.drag_inside or self.fastest * step.dt > 0.1 * FASTEST
-        if state.drag_known:
-            drag_kernels.gain_by_drag(air.density, step.after, step.drag, step.source, q, state.drag_gain, state.last_drag)

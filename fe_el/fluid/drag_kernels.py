@@ -5,37 +5,39 @@ from fe_el.fluid.relaxation import fading_rate, lag_of
 
 
 @by_dimension
-def drag_in_transport(cells, step, masses, entries, given, q, u, known, load):
+def drag_in_transport(cells, step, masses, entries, acting, seen, q, u, known, load):
     """Add to the matrix of transport and to its load what drag A, source B and the fading by viscosity give to the nodes.
 
     The gain becomes p + b for a nodal velocity of zero; a ``part`` of the mean of that velocity comes off it.
     """
-    dofs, volume, dt, mass0, mass1 = cells.dofs, cells.volume, step.dt, masses.before, masses.after
-    drag, last_drag, source, drag_gain = given.now, given.last, given.source, given.gain
-    split, part = given.split, given.part
+    dofs, grad, volume, dt, mass0, mass1 = cells.dofs, cells.gradient, cells.volume, step.dt, masses.before, masses.after
+    taken, drag, source, body = acting.part, acting.drag, acting.source, acting.body
+    split, stays, part, mobility, reach = seen.split, seen.stay, seen.part, seen.mobility, seen.reach
+    pressure = seen.pressure
     gain, nodal_gain, left, lag = known.gain, known.nodal_gain, known.left, known.lag
     place, values = entries.place, entries.values
-    n = len(dofs)
+    n, varies = len(dofs), len(body) > 1
     share = 1.0 / M
     for c in range(n):
         inertia, stay = mass1[c] / volume[c], dt - lag[c]
         rest = 1.0 / (inertia + drag[c] * stay)
-        part[c] = drag[c] * rest
-        less = min(1.0, (inertia + drag[c] * dt) / (inertia + last_drag[c] * dt))  # of what balanced the last drag
+        stays[c], part[c], mobility[c] = stay, drag[c] * rest, taken[c] * rest
+        reach[c] = mass1[c] * (1.0 - split[c] / dt * stay)
         for k in range(D):
-            mean, rise = 0.0, 0.0
+            mean, rise, slope = 0.0, 0.0, 0.0
             for i in range(M):
                 mean += u[dofs[c, i], k]
                 rise += nodal_gain[dofs[c, i], k]
+                slope += grad[c, i, k] * pressure[dofs[c, i]]
             r = q[c, k] - share * mean
-            p = less * (gain[c, k] - drag_gain[c, k])
+            p = taken[c] * (body[c if varies else 0, k] - slope) / inertia
             g = p + rest * (source[c, k] - drag[c] * (left[c] * r + stay * (p - share * rise)))
             kept = left[c] * r + stay * (g - share * rise)
             gain[c, k] = g
             force = share * (mass1[c] * g - split[c] / dt * (mass1[c] * kept - mass0[c] * r))
             for i in range(M):
                 load[dofs[c, i], k] += force
-        weight = share * share * mass1[c] * part[c] * (1.0 - split[c] / dt * stay)
+        weight = share * share * reach[c] * part[c]
         for i in range(M):
             for j in range(M):
                 values[place[c, i, j]] += weight
@@ -90,15 +92,6 @@ def share_of_viscosity(q, h, viscous, dt, left, lag, split):
         if whole > 0.0:
             trust = split[c] + (1.0 - split[c]) * lag[c] / (dt * whole)
             lag[c] = dt * (1.0 - max(1.0 - whole, 0.0) ** trust)
-
-
-@njit(fastmath=FAST)
-def gain_by_drag(density, phi, drag, source, q, drag_gain, last_drag):
-    """What drag and source gave to the cells in the exchange, per mass."""
-    for c in range(len(phi)):
-        last_drag[c] = drag[c]
-        for k in range(q.shape[1]):
-            drag_gain[c, k] = (source[c, k] - drag[c] * q[c, k]) / (density * phi[c])
 
 
 @njit

@@ -36,6 +36,7 @@ class PressureEquation:
 
     def __init__(self, fluid):
         self.fluid, self.held = fluid, np.flatnonzero(fluid.fixed_pressure)
+        self.held_owned = self.held[self.held < fluid.owned_nodes]
         self._weight, self._values = np.full(fluid.num_cells, np.nan), np.full(fluid.nodes, np.nan)  # equal to none
         self._misses = np.zeros(1 + fluid.state.past_pressures.shape[1])
         self._boundary, self._lift = np.zeros((fluid.nodes, 1)), np.zeros((fluid.nodes, 1))
@@ -53,9 +54,7 @@ class PressureEquation:
             SolverDiverged: if the solver fails.
         """
         air, own, p, work = self.fluid, self.fluid.owned_nodes, self.fluid.pressure.x.array, self.fluid.work
-        for facets, value in air.outlets:
-            self._boundary[facets.nodes, 0] = value(air.time) if callable(value) else value
-        self._assemble(weight)
+        self.assemble(weight)
         rhs += self._lift[:, 0]
         air.node_halo.reverse_add(rhs)
         nodal_kernels.fix_entries(self.held, self._diagonal, self._boundary[:, 0], rhs)
@@ -74,9 +73,15 @@ class PressureEquation:
         air.comm.Allreduce(MPI.IN_PLACE, misses)
         air.state.guess_order = int(np.argmin(misses[:min(air.step, len(misses))]))  # at the first step there is no past
 
-    def _assemble(self, weight):
-        """The matrix, unless nothing that enters it has changed on any rank."""
-        air, values = self.fluid, self._boundary[:, 0]
+    def at_outlets(self):
+        """Fixed pressures (nodes,) of now [Pa]; zero elsewhere."""
+        for facets, value in self.fluid.outlets:
+            self._boundary[facets.nodes, 0] = value(self.fluid.time) if callable(value) else value
+        return self._boundary[:, 0]
+
+    def assemble(self, weight):
+        """The matrix, unless nothing that enters it has changed on any rank. Collective."""
+        air, values = self.fluid, self.at_outlets()
         as_before = nodal_kernels.same(weight, self._weight) and nodal_kernels.same(values, self._values)
         if not largest(air.ranks, float(not as_before)):
             return

@@ -2,9 +2,9 @@
 import numpy as np
 
 from fe_el.compiled.for_each_dimension import D, M, by_dimension
-from fe_el.fluid import cell_kernels, node_kernels
+from fe_el.fluid import node_kernels
 from fe_el.fluid.boundary_conditions import Boundaries
-from fe_el.fluid.records import Exchange, PressureSystem
+from fe_el.fluid.records import PressureSystem
 from fe_el.fluid.state import StepState
 
 
@@ -104,41 +104,18 @@ class Projection(Boundaries):
     balance: (phi q + a (q - q_0) - b grad (p - p_0), grad w) = (dphi/dt, w), which is the same in a steady state.
     """
 
-    def _supply(self, step: StepState) -> None:
-        """Fluid volume that each cell gives off per volume and time, at the end of the step, where continuity is imposed.
-
-        The rate of the void fraction there is that of the parabola through three void fractions.
-        """
-        step.supply = self.work.empty("supply", self.num_cells)
-        part = step.dt / (step.dt + self.state.dt) if step.second_order else 0.0
-        cell_kernels.supply_of(step.rate, step.last_rate, part, step.supply)
-        if self.mass_source is not None:
-            step.supply -= self.at_cells(self.mass_source, (self.num_cells,))
-
-    def _body_force(self, step: StepState) -> np.ndarray:
-        """Of each cell (cells, d), or of all (1, d) [N/m^3]."""
-        n, d, work = self.num_cells, self.dimension, self.work
-        body = work.empty("constant_body", 1, d) if self.body_force is None else work.empty("body", n, d)
-        body[:] = self.density * self.gravity + self.mean_pressure_gradient
-        if self.body_force is not None:
-            body += self.at_cells(self.body_force, (n, d), self.time - (0.5 * step.dt if step.second_order else 0.0))
-        return body
-
-    def _exchange(self, step: StepState, drag: np.ndarray, source: np.ndarray) -> None:
-        """Stage 4: cells and nodes get their new velocities, with a drag and source that have those of the walls in them."""
+    def _exchange(self, step: StepState) -> None:
+        """Stage 4: cells and nodes get their new velocities."""
         n, d, work, state, dt = self.num_cells, self.dimension, self.work, self.state, step.dt
         q, rhs = work.empty("exchanged", n, d), work.zeros("pressure_load", self.nodes)
         equation = PressureSystem(work.empty("diagonal", n), work.empty("weight", n), rhs)
-        body, share = self._body_force(step), step.share
-        if step.handed is not None:  # of the solved pressure alone
-            body, share = (share / (share + step.handed))[:, None] * body, share + step.handed
-        exchange_system(self.cells, step.numbers, step.after, Exchange(share, step.supply, drag, source, body),
-                        step.transported, step.correction, step.kept, q, equation)
+        share = step.acting.part
+        exchange_system(self.cells, step.numbers, step.after, step.acting, step.transported, step.correction, step.kept, q,
+                        equation)
         if step.answer is not None:
             before = work.empty("pressure_before", self.nodes)
             before[:] = self.pressure.x.array
             let_solids_answer(self.cells, step.answer, equation.diagonal, share, q, step.velocity, before, equation)
-        step.inflow = self.inflow_at(self.time)
         rhs += step.inflow
         if not self.outlets:
             self.check_closed(step)

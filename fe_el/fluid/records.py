@@ -41,14 +41,14 @@ class Memory(NamedTuple):
 
 
 class Drag(NamedTuple):
-    """Drag and sources as transport sees them."""
+    """What transport makes of drag and of gains."""
 
-    now: np.ndarray  #: (n,) coefficient A [kg/(m^3 s)]
-    last: np.ndarray  #: (n,) that of the last step
-    source: np.ndarray  #: (n, d) B [N/m^3]
-    gain: np.ndarray  #: (n, d) what drag and source gave in the last step, per mass [m/s^2]
     split: np.ndarray  #: (n,) share of viscosity in the fading
-    part: np.ndarray  #: (n,) of the mean nodal velocity that comes off the gain [1/s]
+    stay: np.ndarray  #: (n,) time of the step in which a gain has not faded at its end [s]
+    part: np.ndarray  #: (n,) of the mean nodal velocity that comes off the gain by drag [1/s]
+    mobility: np.ndarray  #: (n,) gain by minus a pressure gradient, less what drag takes of it [m^3/kg]
+    reach: np.ndarray  #: (n,) of a gain that reaches the nodes, times mass [kg]
+    pressure: np.ndarray  #: (m,) of the last step, but that of now at outlets [Pa]
 
 
 class Faded(NamedTuple):

@@ -3,11 +3,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fe_el.fluid.records import Masses, Memory, SolidsAnswer, Step
+from fe_el.fluid.records import Exchange, Masses, Memory, SolidsAnswer, Step
 
-CELLS = ("gain", "fades", "drag_gain", "last_drag", "rate", "void_fraction", "last_flux")
+CELLS = ("gain", "fades", "rate", "void_fraction", "last_flux")
 NODES = ("nodal_velocity", "force", "nodal_gain", "slip_force", "past_pressures", "last_force", "last_change")
-NUMBERS = {"dt": float, "to_close": int, "drag_known": bool, "guess_order": int}
+NUMBERS = {"dt": float, "to_close": int, "guess_order": int}
 
 
 class FluidState:
@@ -21,8 +21,6 @@ class FluidState:
         to_close (int): steps whose mass flux is still to be closed.
         gain: (n, d) acceleration of the cells by drag and pressure [m/s^2]; nodal_gain: (m, d) the nodes' part.
         fades: (n, d) what faded per time of what the nodes do not carry [m/s^2].
-        drag_gain: (n, d) what drag and source gave of the gain; last_drag: (n,) their coefficient [kg/(m^3 s)].
-        drag_known (bool): whether these two are those of the last step.
         nodal_velocity: (m, d) [m/s]; ``None``: the next step starts with means of the cells.
         last_change: (m, d) of the nodal velocity by transport [m/s], for a guess of the next.
         force: (m, d) that drag and pressure gave [N]; last_force: that transport was given in the last step, of the step
@@ -38,9 +36,9 @@ class FluidState:
 
     def __init__(self, n: int, m: int, d: int) -> None:
         self.void_fraction = self.last_flux = self.nodal_velocity = self.last_force = None
-        self.dt, self.to_close, self.drag_known, self.guess_order = 0.0, 0, False, 0
-        self.rate, self.last_drag, self.past_pressures = np.zeros(n), np.zeros(n), np.zeros((m, 3))
-        self.gain, self.fades, self.drag_gain = np.zeros((n, d)), np.zeros((n, d)), np.zeros((n, d))
+        self.dt, self.to_close, self.guess_order = 0.0, 0, 0
+        self.rate, self.past_pressures = np.zeros(n), np.zeros((m, 3))
+        self.gain, self.fades = np.zeros((n, d)), np.zeros((n, d))
         self.force, self.nodal_gain, self.slip_force, self.last_change = (np.zeros((m, d)) for _ in range(4))
 
     def saved(self, owned_nodes: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], dict[str, float]]:
@@ -94,6 +92,9 @@ class StepState:
     # 2. transport and 3. fading
     stress: np.ndarray = field(init=False)  #: (n,) viscosity times the cells' share of the stress [Pa s]
     nodal_mass: np.ndarray = field(init=False)  #: (m,) at the end [kg]
+    acting: Exchange = field(init=False)  #: what acts on the cells, that of layers which the mesh does not resolve included
+    inflow: np.ndarray = field(init=False)  #: (m,) volume per time that inlets let in, at the end [m^3/s]
+    pressure_iterations: int = 0  #: that found the pressure within transport, of a transport solve and a multigrid cycle
     kept: np.ndarray = field(init=False)  #: (n, d) what cells have beside their nodes, then all of their velocity [m/s]
     transported: np.ndarray = field(init=False)  #: (m, d) nodal velocity [m/s]
     correction: np.ndarray = field(init=False)  #: (m, d) what closes the balance of transport on held nodes [m/s]
@@ -101,9 +102,7 @@ class StepState:
     given: np.ndarray = field(init=False)  #: (m, d) force of drag and pressure that transport was given [N]
     taken: np.ndarray = field(init=False)  #: (m, d) what of it was taken off again [N]
     # 4. projection
-    supply: np.ndarray = field(init=False)  #: (n,) volume that cells give off per volume and time, at the end [1/s]
     answered: np.ndarray = field(init=False)  #: (n, d) by how much the solids' volume flux has changed [m/s], if they answer
-    inflow: np.ndarray = field(init=False)  #: (m,) volume per time that inlets let in, at the end [m^3/s]
 
     @property
     def dt(self) -> float:

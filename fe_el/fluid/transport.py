@@ -5,6 +5,7 @@ from fe_el.compiled.cache import njit
 from fe_el.compiled.for_each_dimension import FAST, D, M, by_dimension
 from fe_el.fluid import cell_kernels, node_kernels
 from fe_el.fluid.continuity import ClosedFlux
+from fe_el.fluid.forces_on_cells import ForcesOnCells
 from fe_el.fluid.records import Held, Load, NodalSystem, Void
 from fe_el.fluid.relaxation import Relaxation
 from fe_el.fluid.state import StepState
@@ -89,7 +90,7 @@ def open_boundary(place, values, cell, local, area_normal, flux):
                     values[place[c, i, i]] += out / d
 
 
-class Transport(Relaxation):
+class Transport(Relaxation, ForcesOnCells):
     """Convection and viscosity by the nodal velocity: implicit, skew-symmetric, conserving momentum."""
 
     def theta_of(self, diffusivity: float | np.ndarray, dt: float, second_order: bool) -> np.ndarray:
@@ -148,6 +149,8 @@ class Transport(Relaxation):
         for k in range(d):
             new[:own, k] = self.transport_solver.solve(system[k], guess[k])
         self.node_halo.forward(new)
+        if step.drag_inside:
+            self.drag_in_transport.correct(step, new, rhs, system)
         np.subtract(new, u, out=state.last_change)
         defect = self.drag_in_transport.close(step, new) if step.drag_inside else self._fade(step)
         if self.wall_friction is not None:
@@ -163,12 +166,13 @@ class Transport(Relaxation):
         thetas = self.theta_of(self.viscosity / self.density, step.dt, step.second_order)
         transport_matrix(self.cells, step.numbers, matrix.entries, Void(step.after, step.rate), step.stress, step.flux,
                          self.fixed_pressure, thetas, u, explicit)
+        if self.wall_friction is not None:
+            self.wall_friction.add(step, thetas, matrix, explicit)
+        self._collect(step)
         if step.drag_inside:
             self.drag_in_transport.add(step, explicit)
         if self.stabilisation is not None and not self.upwind:
             self.stabilisation(self, share, step.flux, u, matrix, explicit)
-        if self.wall_friction is not None:
-            self.wall_friction.add(step, thetas, matrix, explicit)
         for facets, _ in self.outlets:
             open_boundary(*matrix.entries, facets.cell, facets.local, facets.area_normal, step.flux)
         matrix.fix(self.fixed, lift, self.boundary_velocity)

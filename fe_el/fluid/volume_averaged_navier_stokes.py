@@ -159,10 +159,7 @@ class VolumeAveragedNavierStokes(Transport, Projection, Ledger, SavedFluid):
         self._relax(step)
         self.set_boundary_values(None if step.single_phase else step.after)
         self._transport(step)
-        self._supply(step)
-        drag, source = (step.drag, step.source) if self.wall_friction is None else self.wall_friction.in_cells(step)
-        self._exchange(step, drag, source)
-        self.drag_in_transport.keep(step, self.velocity.x.array.reshape(-1, self.dimension)[:self.num_cells])
+        self._exchange(step)
         self.state.void_fraction, self.state.rate, self.state.dt, self.last_step = step.after, step.rate, dt, step
         self.seconds["fluid"] += time.perf_counter() - tick
 

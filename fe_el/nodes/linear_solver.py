@@ -128,6 +128,24 @@ class LinearSolver:
                              f"smaller "
                              "time step or check the void fraction and drag fields.")
 
+    def roughly(self, rhs, tolerance):
+        """A solution for owned entries to a relative residual ``tolerance``, as far as the method comes. Collective."""
+        exact = self.ksp.getTolerances()[0]
+        self.ksp.setTolerances(rtol=tolerance)
+        self.b.array[:], self.x.array[:] = rhs, 0.0
+        self.ksp.solve(self.b, self.x)
+        self.ksp.setTolerances(rtol=exact)
+        return self.x.array
+
+    def precondition(self, rhs):
+        """What the preconditioner makes of owned entries. Collective."""
+        self.b.array[:] = rhs
+        if self.nullspace:
+            self.nullspace.remove(self.b)
+        self.ksp.setUp()
+        self.ksp.getPC().apply(self.b, self.x)
+        return self.x.array
+
     def _try(self, ksp, guess):
         self.x.array[:] = guess
         try:

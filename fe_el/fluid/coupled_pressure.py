@@ -1,0 +1,132 @@
+"""The pressure that belongs to the drag and the sources of a step, found while transport is solved."""
+import numpy as np
+
+from fe_el.fluid import coupled_kernels, node_kernels
+from fe_el.fluid.records import SolidsAnswer
+from fe_el.nodes.flexible_gmres import flexible_gmres
+from fe_el.parallel.messages import total
+
+ENOUGH = 0.05  # divergence that may be left: root of its power against viscosity over that of drag, sources and viscosity
+ROUNDS, MOST = 5, 10  # of minimal residuals, and iterations in each
+LEAST, LOOSE = 0.01, 1e-3  # part of the residual to which a round goes; relative residual of the transport solves in it
+
+
+class CoupledPressure:
+    """Finds the pressure with which transport, with drag and sources inside, fulfils continuity.
+
+    Exchange balances a divergence by the inertia of one step. What viscosity balances it would find only over some
+    nu dt / h^2 steps: a force that sets in would meet the pressure of the past. So the change z of the pressure is sought
+    with which the velocity v that transport foresees for the cells is that of continuity, (phi v, grad w) = (supply, w):
+
+        K z = what v lacks of it at z = 0,    K = D A^-1 G,
+
+    A being transport with drag, and what cells have beside their nodes. To apply K takes a transport solve of each
+    component. Its inverse is nearly that of the exchange's Poisson matrix and the viscosity over the mass matrix (Cahouet &
+    Chabard, Int. J. Numer. Meth. Fluids 8, 1988, 869), of which the first is one cycle of multigrid. A step that the last
+    pressure fits takes no iteration. Mass and momentum are exact whatever is left: exchange closes them.
+
+    Args:
+        fluid (VolumeAveragedNavierStokes): with its boundary conditions.
+    """
+
+    def __init__(self, fluid):
+        self.fluid, self.solver = fluid, fluid.transport_solver
+        self.at_rest = np.zeros((fluid.nodes, fluid.dimension))
+
+    def correct(self, step, seen, new, rhs, system):
+        """Change the gain of the step and the ``new`` nodal velocity, and with them ``rhs`` and ``system`` of transport.
+
+        Args:
+            seen (Drag): drag and sources as transport sees them.
+
+        Note:
+            Collective.
+        """
+        air = self.fluid
+        self.step, self.seen, self.answer = step, seen, step.answer or SolidsAnswer(air.no_share, air.no_share)
+        for _ in range(ROUNDS):
+            residual, size = self._lack(new)
+            if not size > ENOUGH:
+                return
+            self._prepare()
+            weights, directions = flexible_gmres(self._apply, self._precondition, residual, self._dot, MOST,
+                                                 max(ENOUGH / size, LEAST))
+            step.pressure_iterations += len(directions)
+            if not directions:
+                return
+            load, change = self._push(sum(w * z for w, z in zip(weights, directions)))
+            step.memory.gain[:] += change
+            rhs += load
+            load[air.held] = 0.0
+            for k in range(air.dimension):
+                system[k] += load[:air.owned_nodes, k]
+                new[:air.owned_nodes, k] = self.solver.solve(system[k], new[:air.owned_nodes, k].copy())
+            air.node_halo.forward(new)
+
+    def _lack(self, new):
+        """What owned nodes lack of continuity [m^3/s], and how large that is against the power of all that acts."""
+        air, step, d, own = self.fluid, self.step, self.fluid.dimension, self.fluid.owned_nodes
+        u = air.work.empty("foreseen_nodes", air.nodes, d)
+        v, flux = self._cells("foreseen", "flux_of_solids")
+        coupled_kernels.start_of_cells(air.cells, self.answer, step.memory, self.seen.stay, step.velocity,
+                                       step.nodal_velocity, v, flux)
+        u[:] = new
+        air.impose(u)
+        out = air.work.empty("lack", air.nodes)
+        out[:] = step.inflow
+        coupled_kernels.take_supply(air.dofs, air.volume, step.acting.supply, out)
+        lack = self._divergence(u, step.memory.gain, v, flux, out)
+        self.viscous = air.work.empty("viscous_weight", own)
+        left = coupled_kernels.power_of_lack(lack, air.viscosity * air.density, step.nodal_mass_before, self.viscous)
+        power = coupled_kernels.power_of(air.cells, step.acting, step.stress, u, v, air.tolerance)
+        return lack, np.sqrt(total(air.ranks, left) / max(total(air.ranks, power), 1e-300))
+
+    def _cells(self, *names):
+        """Zeros of the cells."""
+        return tuple(self.fluid.work.zeros(name, self.fluid.num_cells, self.fluid.dimension) for name in names)
+
+    def _divergence(self, u, gain, v, flux, out):
+        """Of nodal velocities and gains, at owned nodes, with what is in ``out``, in place."""
+        air = self.fluid
+        coupled_kernels.add_divergence(air.cells, self.step.after, self.answer, self.seen, u, gain, v, flux, out)
+        air.node_halo.reverse_add(out)
+        out[air.fixed_pressure] = 0.0
+        return out[:air.owned_nodes]
+
+    def _push(self, z):
+        """What a pressure at owned nodes gives to the nodes [N], and to the gain of the cells [m/s^2]."""
+        air = self.fluid
+        pressure, load = air.work.empty("pressure_change", air.nodes), air.work.zeros("push", air.nodes, air.dimension)
+        gain, self.flux = self._cells("pushed_cells", "flux_of_solids")
+        pressure[:air.owned_nodes] = z
+        air.node_halo.forward(pressure)
+        coupled_kernels.push(air.cells, self.answer, self.seen, pressure, gain, self.flux, load)
+        air.complete(load)
+        return load, gain
+
+    def _apply(self, z):
+        """K z."""
+        air, own, u = self.fluid, self.fluid.owned_nodes, self.fluid.work.empty("foreseen_nodes", *self.at_rest.shape)
+        load, gain = self._push(z)
+        load[air.held] = 0.0
+        for k in range(air.dimension):
+            u[:own, k] = self.solver.roughly(load[:own, k], LOOSE)
+        air.node_halo.forward(u)
+        node_kernels.impose(u, air.slip_nodes, air.slip_normals, air.held, self.at_rest)
+        return -self._divergence(u, gain, *self._cells("foreseen"), self.flux, air.work.zeros("lack", air.nodes))
+
+    def _prepare(self):
+        """The Poisson matrix of the exchange."""
+        air, acting, volume = self.fluid, self.step.acting, self.fluid.volume
+        mobility = acting.part / (air.density * self.step.after / self.step.dt + acting.drag)
+        through = self.step.after + self.answer.to_velocity
+        air.pressure_equation.assemble(volume * (through * mobility + self.answer.to_gradient))
+
+    def _precondition(self, lack):
+        """About K^-1 times a lack."""
+        z = self.fluid.pressure_equation.solver.precondition(lack) + self.viscous * lack
+        z[self.fluid.pressure_equation.held_owned] = 0.0
+        return z
+
+    def _dot(self, a, b):
+        return total(self.fluid.ranks, float(a @ b))
