@@ -34,6 +34,8 @@ def require_not_negative(name: str, value: Any) -> None:
 
 def positive_number(name: str, value: Any) -> float:
     """One finite number above zero, as float."""
+    if type(value) is float and 0.0 < value < np.inf:  # the step of every call of a loop
+        return value
     if numbers(name, value).ndim:
         raise ValueError(f"The {name} is {_short(value)}; give one number, above zero.")
     require_positive(name, value)

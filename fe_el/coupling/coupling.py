@@ -28,6 +28,7 @@ from fe_el.coupling.smoothing import FixedValues
 from fe_el.coupling.undisturbed import UndisturbedVelocity
 from fe_el.dolfinx_api import scalar_space, vector_space
 from fe_el.nodes.work_arrays import WorkArrays
+from fe_el.parallel.exchange import total_of
 
 if TYPE_CHECKING:
     from fe_el.particles.particles import Particles
@@ -147,7 +148,8 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
             self.fields += tuple(fem.Function(scalar, name=name) for name in (
                 "pressure_share", "answer_to_velocity", "answer_to_gradient"))
             self.nothing = np.zeros((particles.cells.owned, 1))
-        self.fields[0].x.array[:] = 1.0
+        self.values = [field.x.array for field in self.fields]
+        self.values[0][:] = 1.0
         self.velocity_mean = self.step_mean = CellMean(mesh, velocity, d)
         if mean_velocity is not None:
             self.step_mean = CellMean(mesh, mean_velocity, d)
@@ -241,8 +243,9 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
             self._mapped = None
             return False
         same = last is not None and last[0] is p.cells and all(map(np.array_equal, last[1:], (p.position, p.diameter)))
-        self._mapped = p.cells, p.position.copy(), p.diameter.copy()
-        return self.comm.allreduce(int(same)) == self.comm.size
+        if not same:
+            self._mapped = p.cells, p.position.copy(), p.diameter.copy()
+        return total_of(self.comm, int(same)) == self.comm.size
 
     def _map(self, dt):
         """Shares of the cells in every particle, and the void fraction."""
@@ -275,12 +278,11 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
                              "to_fluid(dt) first, with the same step.")
         tick = self._begin()
         p, d, n = self.particles, self.dimension, self.particles.cells.owned
-        a, b = self.fields[1].x.array[:n], self.fields[2].x.array.reshape(-1, d)[:n]
+        phi, a, b = self.values[0][:n], self.values[1][:n], self.values[2].reshape(-1, d)[:n]
         u = self.step_mean()
         slope = np.zeros((n, 0)) if self.pressure_force is None or self.gradient_mean is None else self.gradient_mean()
         rows = self._work.empty("answer", n, d + slope.shape[1])
-        received, changed = loops.answer(p.cells.volume[:n], self.fields[0].x.array[:n], a, b, self.cell_velocity, u, slope,
-                                         rows)
+        received, changed = loops.answer(p.cells.volume[:n], phi, a, b, self.cell_velocity, u, slope, rows)
         changed &= self.ahead is None
         back = self._back(rows)
         kept = rows.shape[1] if self.came else d
@@ -288,7 +290,7 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
         at_particles = self._gather(back, "velocity_and_slope")
         if self.pressure_force is not None:
             if self.added is not None:
-                received -= (p.cells.volume[:n] * self.fields[3].x.array[:n]) @ slope
+                received -= (p.cells.volume[:n] * self.values[3][:n]) @ slope
         if self.spin is not None:
             p.angular_velocity += self.turn
         forces = self._forces if self.added is None else self._forces_with_added_mass

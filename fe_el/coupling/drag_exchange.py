@@ -8,7 +8,7 @@ from fe_el.coupling.fitting import step_beyond_sense, step_too_fast
 from fe_el.coupling.fluid_at_particles import given
 from fe_el.coupling.relaxing_slip import over_step
 from fe_el.coupling.schemes import Conservative, Exchange, Explicit
-from fe_el.parallel.exchange import largest_of, raise_everywhere
+from fe_el.parallel.exchange import largest_of, raise_everywhere, total_of
 
 CROWDED = 0.3  # solid fraction of the fullest cell from which particles' answer is part of the fluid's balance
 
@@ -168,6 +168,6 @@ class DragExchange:
         if self._kept is None or self.spill.moves or self._kept[0].shape[1] < columns.stop or self._kept[2] is not self.near:
             return self._back(values)
         same = np.array_equal(self._kept[0][:, columns], values) and len(self._kept[1]) == len(self.particles.cells.volume)
-        if self.comm.allreduce(int(same)) < self.comm.size:
+        if total_of(self.comm, int(same)) < self.comm.size:
             return self._back(values)
         return np.ascontiguousarray(self._kept[1][:, columns])

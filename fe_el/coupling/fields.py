@@ -18,7 +18,7 @@ class CellMean:
         self.direct = None
         if isinstance(expression, fem.Function):
             if element_of(expression.function_space) == ("DG", 0):
-                self.direct = expression
+                self.direct = expression.x.array.reshape(-1, components)[:self.cells]
                 return
         space = scalar_space(mesh, "DG", 0)
         w = ufl.TestFunction(space)
@@ -29,7 +29,7 @@ class CellMean:
     def __call__(self):
         """(owned cells, components)."""
         if self.direct is not None:
-            return self.direct.x.array.reshape(-1, self.components)[:self.cells]
+            return self.direct
         return np.column_stack([fem.petsc.assemble_vector(f).array / self.volume for f in self.forms])
 
 
@@ -50,12 +50,11 @@ class PressureGradientMean:
     def __init__(self, mesh, pressure, barycentric):
         d = mesh.topology.dim
         element = element_of(pressure.function_space) if isinstance(pressure, fem.Function) else None
-        self.pressure, self.d = pressure, d
         n = mesh.topology.index_map(d).size_local
         self.general = None
         if element == ("P", 1):
             self.dofs = np.ascontiguousarray(dof_table(pressure.function_space)[:n].astype(np.int32))
-            self.gradient, self.slope = barycentric[:n], np.empty((n, d))
+            self.gradient, self.slope, self.values = barycentric[:n], np.empty((n, d)), pressure.x.array
         else:
             self.general = CellMean(mesh, ufl.grad(pressure), d)
 
@@ -63,5 +62,5 @@ class PressureGradientMean:
         """(owned cells, d) [Pa/m]."""
         if self.general is not None:
             return self.general()
-        _slopes(self.dofs, self.gradient, self.pressure.x.array, self.slope)
+        _slopes(self.dofs, self.gradient, self.values, self.slope)
         return self.slope

@@ -124,6 +124,7 @@ class Maps:
         return out
 
     def _set(self, which, values):
-        function, n = self.fields[which], self.particles.cells.owned
-        function.x.array[:n * values.shape[1]] = values[:n].ravel()
-        function.x.scatter_forward()
+        n = self.particles.cells.owned
+        self.values[which][:n * values.shape[1]] = values[:n].ravel()
+        if self.comm.size > 1:
+            self.fields[which].x.scatter_forward()

@@ -12,6 +12,7 @@ from mpi4py import MPI
 
 from fe_el.compiled.cache import njit
 from fe_el.compiled.for_each_dimension import M, by_dimension
+from fe_el.parallel.exchange import total_of
 
 if TYPE_CHECKING:
     from fe_el.coupling.smoothing import HelmholtzSmoothing
@@ -168,7 +169,7 @@ class NearParticles:
         more = not self.whole and bool((filled & ~self.served).any())
         if self.steps >= STEPS:
             return filled
-        return filled | self.mask if self.smoothing.nodes.comm.allreduce(int(more)) else None
+        return filled | self.mask if total_of(self.smoothing.nodes.comm, int(more)) else None
 
     def spread(self, field: np.ndarray) -> np.ndarray:
         """Smoothed cell field (owned cells, k) of one that is zero but in the filled cells."""

@@ -12,6 +12,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from fe_el.compiled.cache import njit
+from fe_el.compiled.direct_calls import Direct
 from fe_el.compiled.for_each_dimension import FAST
 
 NUMBER, INDEX = ir.DoubleType(), ir.IntType(64)
@@ -113,6 +114,7 @@ def begin(before, at, inverse_diagonal, scale, load, column, b, x_old, x, new):
             x[i, k] = f * b[i, k]
 
 
+@Direct
 @njit(fastmath=FAST)
 def chebyshev(rows, at, b, x_old, x, new, first, second):
     """new = x + first (x - x_old) + second D^-1 (b - H x) on the owned rows ``at``, once for each ``first``; of arrays

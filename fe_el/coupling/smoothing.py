@@ -12,7 +12,7 @@ from fe_el.nodes.nodal_kernels import add_integrals
 from fe_el.nodes.nodal_matrix import NodalMatrix
 from fe_el.nodes.nodal_space import NodalSpace
 from fe_el.nodes.work_arrays import WorkArrays
-from fe_el.parallel.exchange import Halo
+from fe_el.parallel.exchange import Halo, total_of
 
 if TYPE_CHECKING:
     from dolfinx.mesh import Mesh
@@ -188,7 +188,7 @@ class HelmholtzSmoothing:
             return field.copy()
         values, load = np.empty((nodes.nodes, field.shape[1])), nodes.load(field)[:n]
         values[:n] = self.scale * self.solve(load, self._all) + self.missing[:, None] * load
-        values[:n] += nodes.comm.allreduce(load.sum(0) - self.mass @ values[:n]) / nodes.total  # round-off
+        values[:n] += total_of(nodes.comm, load.sum(0) - self.mass @ values[:n]) / nodes.total  # round-off
         return nodes.means(nodes.node_halo.forward(values))
 
     def near(self, filled: np.ndarray, before: NearParticles | None = None) -> NearParticles:

@@ -12,7 +12,7 @@ from fe_el.fluid.state import StepState
 from fe_el.fluid.walls import WallFriction, held_directions
 from fe_el.mesh.cell_mesh import group_numbers, refuse_inner_facets, require_groups
 from fe_el.nodes import nodal_kernels
-from fe_el.parallel.exchange import raise_everywhere
+from fe_el.parallel.exchange import raise_everywhere, sums_of
 
 
 class BoundaryFacets:
@@ -158,7 +158,7 @@ class Boundaries(CellNodeFluid):
         particles."""
         made, size = cell_kernels.totals(step.acting.supply, self.volume)
         come = step.inflow.sum()
-        sums = self.comm.allreduce(np.array([-come, -made, abs(come) + size, self.volume.sum()]))
+        sums = sums_of(self.comm, -come, -made, abs(come) + size, self.volume.sum())
         net = sums[0] + sums[1]
         if abs(net) > 1e-6 * sums[2] + 1e-10 * sums[3] / step.dt:
             raise ValueError(f"At time {self.time:g} s inlets let {sums[0]:g} m^3/s into a domain without outlet, and "

@@ -53,7 +53,7 @@ class PressureEquation:
         Raises:
             SolverDiverged: if the solver fails.
         """
-        air, own, p, work = self.fluid, self.fluid.owned_nodes, self.fluid.pressure.x.array, self.fluid.work
+        air, own, p, work = self.fluid, self.fluid.owned_nodes, self.fluid.nodal_pressure, self.fluid.work
         self.assemble(weight)
         rhs += self._lift[:, 0]
         air.node_halo.reverse_add(rhs)

@@ -114,7 +114,7 @@ class Projection(Boundaries):
                         equation)
         if step.answer is not None:
             before = work.empty("pressure_before", self.nodes)
-            before[:] = self.pressure.x.array
+            before[:] = self.nodal_pressure
             let_solids_answer(self.cells, step.answer, equation.diagonal, share, q, step.velocity, before, equation)
         rhs += step.inflow
         if not self.outlets:
@@ -122,14 +122,14 @@ class Projection(Boundaries):
         self.pressure_equation.solve(equation.weight, rhs)
         change = work.other("force", state.force, self.nodes, d)
         change.fill(0.0)
-        pressure_step(self.cells, step.numbers, step.after, share, equation.diagonal, self.pressure.x.array, step.kept, q,
+        pressure_step(self.cells, step.numbers, step.after, share, equation.diagonal, self.nodal_pressure, step.kept, q,
                       state.gain, change)
         if step.answer is not None:
             step.answered = work.empty("answered", n, d)
-            answer_of(self.cells, step.answer, q, step.velocity, self.pressure.x.array - before, step.answered)
+            answer_of(self.cells, step.answer, q, step.velocity, self.nodal_pressure - before, step.answered)
         self.complete(change)
-        self.velocity.x.array.reshape(-1, d)[:n] = q
-        self.cell_halo.forward(self.velocity.x.array.reshape(-1, d))
+        self.cell_velocity[:n] = q
+        self.cell_halo.forward(self.cell_velocity)
         new = work.empty("nodal_velocity", self.nodes, d)
         node_kernels.after_exchange(step.transported, change, step.correction, step.nodal_mass, dt, new, state.nodal_gain)
         self.impose(new)

@@ -87,6 +87,7 @@ class VolumeAveragedNavierStokes(Transport, Projection, Ledger, SavedFluid):
         self.gravity = np.zeros(d) if gravity is None else components("gravity", gravity, d)
         self.velocity = fem.Function(vector_space(mesh, "DG", 0), name="velocity")
         self.pressure = fem.Function(self.space, name="pressure")
+        self.cell_velocity, self.nodal_pressure = self.velocity.x.array.reshape(-1, d), self.pressure.x.array  # the same
         self.cell_halo = Halo.of_index_map(mesh.comm, self.velocity.function_space.dofmap.index_map)
         self.state, self.last_step, self.no_share = FluidState(n, self.nodes, d), None, np.zeros(n)
         self.time, self.step, self.seconds = 0.0, 0, {"fluid": 0.0}
@@ -104,6 +105,7 @@ class VolumeAveragedNavierStokes(Transport, Projection, Ledger, SavedFluid):
         self.upwind = stabilisation is not None and stabilisation.upwind
         self.mean_pressure_gradient, self.stress_of_mixture = mean.copy(), bool(stress_of_mixture)
         self._solvers, self._closed_flux, self.ready, self.as_new = (), None, False, False
+        self._fields: tuple[Any, tuple[np.ndarray, ...]] = (None, ())  # that were given last, and their arrays
         self._single_phase: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
         self.body_force = self.mass_source = self.eddy_viscosity = None
 
@@ -166,13 +168,13 @@ class VolumeAveragedNavierStokes(Transport, Projection, Ledger, SavedFluid):
     def _begin(self, dt: float, fields: Sequence[fem.Function] | None, pressure_share: np.ndarray | None) -> StepState:
         """The step with what it is given, and with what follows from the void fraction."""
         n, d, work, state = self.num_cells, self.dimension, self.work, self.state
-        phi, drag, source = self._given(fields)
+        phi, drag, source, *others = self._given(fields)
         phi0 = phi if state.void_fraction is None else state.void_fraction
         if not self.ready or self.as_new:
             self._setup()
             self.set_boundary_values(phi0 if phi0 is not phi or fields is not None else None)
         q = work.empty("start_of_cells", n, d)
-        q[:] = self.velocity.x.array.reshape(-1, d)[:n]
+        q[:] = self.cell_velocity[:n]
         rate, damping = work.other("rate", state.rate, n), work.empty("damping", n)
         masses = Masses(work.empty("mass_before", n), work.empty("mass_after", n))
         moves = cell_kernels.begin(self.density, dt, phi0, phi, drag, self.volume, rate, *masses, damping)
@@ -180,22 +182,27 @@ class VolumeAveragedNavierStokes(Transport, Projection, Ledger, SavedFluid):
             numbers=Step(dt, float(self.density), self.viscosity / self.density, self.upwind), single_phase=fields is None,
             before=phi0, after=phi, rate=rate, last_rate=state.rate, drag=drag, source=source,
             share=phi if pressure_share is None else pressure_share,
-            handed=fields[3].x.array[:n] if fields is not None and len(fields) > 3 else None,
-            answer=SolidsAnswer(*(f.x.array[:n] for f in fields[4:]))
-            if fields is not None and len(fields) > 4 and self.step else None,  # the first step knows no pressure before it
+            handed=others[0] if others else None,
+            answer=SolidsAnswer(*others[1:])
+            if len(others) > 1 and self.step else None,  # the first step knows no pressure before it
             velocity=q, masses=masses, damping=damping, moves=moves,
             memory=Memory(state.gain, state.nodal_gain, state.fades, work.empty("left", n), work.empty("lag", n)))
 
     def _given(self, fields):
-        """Void fraction, drag and source of this rank's cells."""
+        """Void fraction, drag and source of this rank's cells, and what else the fields hold."""
         n, d = self.num_cells, self.dimension
         if fields is None:
             self._single_phase = self._single_phase or (np.ones(n), np.zeros(n), np.zeros((n, d)))
             return self._single_phase
-        check_fields(fields, n, d)
+        if fields is not self._fields[0]:
+            check_fields(fields, n, d)
+            now, drag, source, *others = (f.x.array for f in fields)
+            known = fields if isinstance(fields, tuple) else None  # which is always the same: it need not be looked at again
+            self._fields = known, (now[:n], drag[:n], source.reshape(-1, d)[:n], *(a[:n] for a in others))
+        now, *others = self._fields[1]
         phi = self.work.other("void_fraction", self.state.void_fraction, n)
-        phi[:] = fields[0].x.array[:n]
+        phi[:] = now
         if n and not phi.min() > 0:
             raise ValueError(f"The void fraction of cell {int(np.argmin(phi))} on rank {self.comm.rank} is "
                              f"{phi.min():g}; it must be positive. Use larger cells or smoothing.")
-        return phi, fields[1].x.array[:n], fields[2].x.array.reshape(-1, d)[:n]
+        return phi, *others

@@ -10,16 +10,26 @@ from fe_el.parallel.messages import exchange, messages_of
 
 def largest_of(comm, *numbers):
     """Largest of each number over all ranks, as an array. Collective."""
-    out = np.empty(len(numbers))
-    comm.Allreduce(np.array(numbers, float), out, op=MPI.MAX)
-    return out
+    return _over_ranks(comm, numbers, MPI.MAX)
 
 
 def sums_of(comm, *numbers):
     """Sum of each number over all ranks, as an array. Collective."""
-    out = np.empty(len(numbers))
-    comm.Allreduce(np.array(numbers, float), out)
+    return _over_ranks(comm, numbers, MPI.SUM)
+
+
+def _over_ranks(comm, numbers, operation):
+    own = np.array(numbers, float)
+    if comm.size == 1:
+        return own
+    out = np.empty_like(own)
+    comm.Allreduce(own, out, op=operation)
     return out
+
+
+def total_of(comm, value):
+    """Sum of a number or an array over all ranks; of one rank the value itself. Collective."""
+    return comm.allreduce(value) if comm.size > 1 else value
 
 
 def raise_everywhere(comm, error, message):

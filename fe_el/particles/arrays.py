@@ -4,6 +4,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
+from fe_el.parallel.exchange import total_of
 from fe_el.particles import motion
 
 FIELDS = {"position": (3,), "velocity": (3,), "angular_velocity": (3,), "diameter": (), "density": (), "force": (3,),
@@ -45,7 +46,7 @@ class ParticleArrays:
     @property
     def total_number(self) -> int:
         """Number of particles on all ranks."""
-        return self.comm.allreduce(len(self))
+        return total_of(self.comm, len(self))
 
     @property
     def volume(self) -> np.ndarray:
@@ -65,7 +66,7 @@ class ParticleArrays:
     @property
     def mass(self) -> np.ndarray:
         """(particles,) mass [kg]."""
-        return self.density * self.volume
+        return motion.masses(self.density, self.diameter)
 
     @property
     def inertia(self) -> np.ndarray:

@@ -2,6 +2,7 @@
 from numpy.typing import ArrayLike
 
 from fe_el.checks import truth_values
+from fe_el.parallel.exchange import total_of
 from fe_el.particles.arrays import ParticleArrays
 
 
@@ -32,4 +33,4 @@ class Held(ParticleArrays):
 
     def all_held(self) -> bool:
         """Whether no particle of any rank can move. Collective."""
-        return not self.comm.allreduce(int(not self.held.all()))
+        return not total_of(self.comm, int(not self.held.all()))

@@ -2,7 +2,7 @@
 import numpy as np
 
 from fe_el.mesh import cell_mesh as _mesh
-from fe_el.parallel.exchange import largest_of, move, raise_everywhere
+from fe_el.parallel.exchange import largest_of, move, raise_everywhere, total_of
 from fe_el.particles import location, motion
 from fe_el.particles.arrays import ParticleArrays
 from fe_el.particles.open_boundaries import OpenBoundaries, Rebounds
@@ -37,12 +37,12 @@ class Migration(ParticleArrays):
 
     def put_in_order(self) -> None:
         """Sort many particles by their cells where those that follow each other in memory are no longer near in space."""
-        if not self.comm.allreduce(int(len(self) >= location.MANY)):
+        if not total_of(self.comm, int(len(self) >= location.MANY)):
             return
         if self._curve is None:
             self._curve = location.curve_through(self.cells)
         order = location.order_by_cell(self.cell, self.position, self._curve)
-        if self.comm.allreduce(int(len(order) > 0)):  # on all ranks or on none, as contacts note it
+        if total_of(self.comm, int(len(order) > 0)):  # on all ranks or on none, as contacts note it
             self.select(order if len(order) else np.arange(len(self)))
 
     def locate(self, in_order: bool = True) -> np.ndarray | None:
@@ -64,7 +64,7 @@ class Migration(ParticleArrays):
         self.wrap(self.position)
         self._gone = np.zeros(0, np.int64)
         missing = location.locate(self.cells, self.cell, self.position)
-        if self.comm.allreduce(missing):
+        if total_of(self.comm, missing):
             self._search_everywhere()
         if self.comm.size == 1 and not len(self._gone):
             return None

@@ -60,6 +60,15 @@ def free_flight(position, velocity, force, mass, gravity, rate, held, late, dt):
 
 
 @njit
+def masses(density, diameter):
+    """Masses (particles,) of spheres."""
+    out = np.empty(len(density))
+    for i in range(len(density)):
+        out[i] = density[i] * (math.pi / 6 * (diameter[i] * diameter[i] * diameter[i]))
+    return out
+
+
+@njit
 def primary_diameters(diameter, number):
     """Diameters (particles,) of the particles in parcels: diameter over the cube root of ``number``."""
     out, last, ratio = np.empty_like(diameter), 1.0, 1.0

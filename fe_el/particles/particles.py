@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fe_el.checks import finite_vector, numbers, positive_number, require_mesh, require_positive, require_tags
-from fe_el.parallel.exchange import raise_everywhere
 from fe_el.parallel.failures import end_all_ranks_on_errors
 from fe_el.particles import insertion, motion, rows
+from fe_el.particles.array_checks import check_arrays, check_velocities
 from fe_el.particles.arrays import FIELDS
 from fe_el.particles.balance import Balanced
 from fe_el.particles.held import Held
@@ -200,7 +200,7 @@ class Particles(SavedParticles, Held, Balanced):
         if contacts is not None and getattr(contacts, "particles", None) is not self:
             raise ValueError(f"The contacts are {contacts!r}, not those of these particles; pass Contacts(particles, ...).")
         self.gravity = finite_vector("gravity", self.gravity)
-        self._check_arrays()
+        check_arrays(self)
         self.step += 1
         self.say_balance()
         if contacts is None:
@@ -211,11 +211,7 @@ class Particles(SavedParticles, Held, Balanced):
                                self.held, late, dt)
         else:
             self._advance_with(contacts, dt)
-        bad, message = np.flatnonzero(~np.isfinite(self.velocity).all(1)), None
-        if len(bad):
-            message = (f"Particle {self.id[bad[0]]} has velocity {self.velocity[bad[0]].tolist()} at step {self.step} on "
-                       f"rank {self.comm.rank}. Use a smaller step or a softer contact law.")
-        raise_everywhere(self.comm, FloatingPointError, message)
+        check_velocities(self)
         if contacts is None:
             self.locate(in_order=False)
             self.put_in_order()
@@ -234,22 +230,6 @@ class Particles(SavedParticles, Held, Balanced):
             self.position -= late[:, None] * way
             self.velocity -= late[:, None] * dt * np.where(self.held[:, None], 0.0, self.gravity)
             self.locate()
-
-    def _check_arrays(self):
-        """Raise ``ValueError`` on every rank for arrays of the user's that no step can start from. Collective."""
-        message, n = None, len(self)
-        for name, shape in FIELDS.items():
-            a = getattr(self, name)
-            if not isinstance(a, np.ndarray) or a.shape != (n, *shape) or a.dtype != float:
-                message = (f"The array {name} of the particles is {type(a).__name__} of shape {np.shape(a)}; it must be a "
-                           f"numpy array of float of shape {(n, *shape)}, one row per particle of this rank. To set all "
-                           f"alike: particles.{name}[:] = ...")
-            elif name in ("diameter", "density", "number", "position") and not np.isfinite(a).all() or \
-                    name in ("diameter", "density", "number") and n and not a.min() > 0:
-                good = np.isfinite(a).reshape(n, -1).all(1) & (a > 0 if a.ndim == 1 else True)
-                message = (f"The {name} of particle {self.id[~good][0]} is {a[~good][0].tolist()}; it must be finite"
-                           f"{' and greater than zero' if a.ndim == 1 else ''}.")
-        raise_everywhere(self.comm, ValueError, message)
 
     def momentum(self) -> np.ndarray:
         """Total momentum of all particles (3,) [kg m/s]."""

@@ -3,9 +3,9 @@ import numpy as np
 
 from fe_el.checks import of_kind, require_tags
 from fe_el.parallel.exchange import raise_everywhere
-from fe_el.particles.contacts import velocity_verlet
 from fe_el.particles.contacts.array_law import ArrayLaw
 from fe_el.particles.contacts.contact_laws import HertzMindlin, LinearSpringDashpot
+from fe_el.particles.contacts.step_ends import first_not_finite
 from fe_el.particles.contacts.wall_shapes import FACETS, SURFACE
 from fe_el.particles.migration import LostParticle
 
@@ -41,7 +41,7 @@ class ContactChecks:
     def _check_finite(self):
         """Stop before a position or force that is not a number spreads."""
         p, rows, message = self.particles, self.lists.rows, None
-        i = velocity_verlet.first_not_finite(rows.x[:len(p)], rows.force)
+        i = first_not_finite(rows.x[:len(p)], rows.force)
         if i >= 0:
             message = (f"The contact force on particle {p.id[i]} near {p.position[i].tolist()} is "
                        f"{rows.force[i, :3].tolist()} (step {p.step}, rank {p.comm.rank}). Either two particles lie on one "

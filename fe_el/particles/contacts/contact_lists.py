@@ -3,7 +3,7 @@ import numpy as np
 
 from fe_el.mesh import cell_mesh as _mesh
 from fe_el.parallel.exchange import largest_of
-from fe_el.particles.contacts import neighbours, springs, velocity_verlet, wall_lists, waves
+from fe_el.particles.contacts import neighbours, springs, step_ends, wall_lists, waves
 from fe_el.particles.contacts import walls as _walls
 from fe_el.particles.contacts.blocks import aligned
 from fe_el.particles.contacts.records import Candidates, FacetRows, Facets, Near, Pairs, Rows, ShapeRows, Tiles, WallRows
@@ -143,11 +143,11 @@ class ContactLists(SavedLists, Room):
         """Number of the wall of each partner in the lists of facets and of shapes."""
         return self.facets.wall, np.arange(len(self.walls))
 
-    def pack(self, external):
+    def pack(self, external, fading):
         """Fill the rows of owned and ghost particles from these, and return them; the same memory until renewed."""
         p, rows = self.particles, self.rows
-        velocity_verlet.pack(p.position, p.velocity, p.angular_velocity, external, p.contact_force, p.contact_torque, rows.x,
-                             rows.state, rows.force)
+        step_ends.pack(p.position, p.velocity, p.angular_velocity, external, fading, p.contact_force, p.contact_torque,
+                       (rows.x, rows.state, rows.force))
         self.ghosts.forward_state(rows.x, rows.state)
         return rows
 
@@ -198,12 +198,14 @@ class ContactLists(SavedLists, Room):
         self._lists(x, pairs, self.ghosts.grow(room), kept, step)
         self.load[:, 6] = 0.0
         self.x0, self.age = np.empty((len(p), 4)), 0
-        self.x0[:, :3], self.x0[:, 3] = p.position, (room - h * speeds) ** -2  # out of date a sub-step early
+        left = room - h * speeds  # out of date a sub-step early
+        self.x0[:, :3], self.x0[:, 3] = p.position, 1 / (left * left)
         self.rebuilds += 1
 
     def weigh(self):
         """Take the particles' inertia as it is now. Collective."""
         p = self.particles
+        self.inverse_inertia = step_ends.inverse_inertia(p.held, p.mass, p.diameter)
         self.rows.inverse_mass[:] = self.ghosts.grow(np.where(p.held, 0.0, 1 / p.inertia))
         self.rows.state[:, 7] = self.rows.inverse_mass / self.rows.radius
         if len(self.rows.parcel):
@@ -244,6 +246,11 @@ class ContactLists(SavedLists, Room):
         self.ghosts.keep(used[n:])
         return x[used], (first, (np.cumsum(used) - 1).astype(np.uint32)[second])
 
+    def _free(self, near):
+        """The entries of particles that are not held; ``near`` has their particles first."""
+        held = self.particles.held
+        return [a[~held[near[0]]] for a in near] if held.any() else near
+
     def _lists(self, x, pairs, room, kept, step):
         """Pairs, facets and shapes near each particle, with the kept springs."""
         p, n, radius = self.particles, len(self.particles), self.rows.radius
@@ -257,11 +264,12 @@ class ContactLists(SavedLists, Room):
         if len(self.facets.corner):
             wider = reach + self.wall_room if len(self.carried) else reach
             near = wall_lists.wall_list(x, wider, p.cell, self._in_cells, self.facets.corner, self.balls)
-            *facets, distance = [a[~p.held[near[0]]] for a in near]
-            wall_gaps, facets = (distance - radius[facets[0]]) / room[facets[0]], [a.view(np.uint32) for a in facets]
+            *facets, distance = self._free(near)
+            wall_gaps = wall_lists.wall_gaps(facets[0], distance, radius, room)
+            facets = [a.view(np.uint32) for a in facets]
         if self.has_shapes:
             near = shape_list(x, reach + self.wall_room, n, self.kind, self.shape, self.motion)
-            shapes = [a[~p.held[near[0]]].view(np.uint32) for a in near]
+            shapes = [a.view(np.uint32) for a in self._free(near)]
         if len(self.carried):  # facets that move are always listed
             wall_gaps[np.isin(facets[1], self.carried)] = -np.inf
         gaps = neighbours.gaps(x, radius, room, *pairs), wall_gaps

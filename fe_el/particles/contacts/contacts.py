@@ -7,7 +7,7 @@ import numpy as np
 
 from fe_el.checks import of_kind, positive_number
 from fe_el.compiled.direct_calls import Direct
-from fe_el.parallel.exchange import largest_of
+from fe_el.parallel.exchange import largest_of, total_of
 from fe_el.parallel.messages import largest, ranks_of
 from fe_el.particles import motion
 from fe_el.particles.contacts import ahead, contact_lists, velocity_verlet
@@ -18,6 +18,7 @@ from fe_el.particles.contacts.law_kernels import constant_rows
 from fe_el.particles.contacts.network import network_of
 from fe_el.particles.contacts.records import Assembly, Drift, Near
 from fe_el.particles.contacts.saved_contacts import SavedContacts
+from fe_el.particles.contacts.step_ends import external_force, mean_contact_force, unpack
 from fe_el.particles.contacts.step_limit import step_limit
 from fe_el.particles.contacts.sub_steps import forces_of_walls, near_numbers
 from fe_el.particles.contacts.wall_shapes import FacetWalls, move_walls, note_forces, push_walls
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from fe_el.particles.contacts.contact_laws import HertzMindlin, LinearSpringDashpot
     from fe_el.particles.contacts.wall_shapes import Wall
 
-_kick, _drift_on = Direct(velocity_verlet.kick), Direct(velocity_verlet.drift_on)
+_drift_on = Direct(velocity_verlet.drift_on)
 _near_numbers, _forces_of_walls = Direct(near_numbers), Direct(forces_of_walls)
 
 
@@ -178,25 +179,21 @@ class Contacts(SavedContacts, ContactChecks):
                 self._rebuild(h)
         del p.properties["_external"], p.properties["_fading"]
         start = p.properties.pop("_start_velocity")
-        p.mean_contact_force = velocity_verlet.mean_force(p.velocity, start, p.inertia, self._external(), dt)
-        for wall, impulse in zip(self.walls, p.comm.allreduce(self.wall_impulse)):
+        p.mean_contact_force = mean_contact_force(p.velocity, start, p.held, p.inertia, p.gravity, p.force, dt)
+        for wall, impulse in zip(self.walls, total_of(p.comm, self.wall_impulse)):
             wall.force, wall.torque = impulse[:3] * h / dt, impulse[3:] * h / dt
         self.lists.move_walls()
         self.seconds["contacts"] += time.perf_counter() - tick - (self.seconds["neighbours"] - renewing)
-
-    def _external(self):
-        """(particles, 3) force by all but contacts, of what is not held [N]."""
-        p = self.particles
-        return np.where(p.held[:, None], 0.0, p.inertia[:, None] * p.gravity + p.force)
 
     def _drive(self, dt):
         """What moves the particles besides contacts, in every sub-step of the step; it travels with them."""
         p = self.particles
         self.fades = int(largest_of(p.comm, p.relaxation_rate.max(initial=0.0))[0] > 0)
-        rows = self._external(), np.zeros((len(p), 4 * self.fades))
         if self.fades:
             rows = motion.forces_in_step(p.position, p.force, p.mean_contact_force, p.inertia, p.gravity, p.relaxation_rate,
                                          p.held, dt, self.steps_last)
+        else:
+            rows = external_force(p.held, p.inertia, p.gravity, p.force), np.zeros((len(p), 0))
         p.properties["_external"], p.properties["_fading"] = rows
 
     def _rebuild(self, h):
@@ -209,17 +206,13 @@ class Contacts(SavedContacts, ContactChecks):
         """Sub-steps until the neighbour list is out of date (``stale``), at most ``most``; returns how many."""
         p, n, lists = self.particles, len(self.particles), self.lists
         external, fading = p.properties["_external"], p.properties["_fading"][:n * self.fades]
-        rows = lists.pack(external + fading[:, :3] if self.fades else external)
-        drift = Drift(external, np.where(p.held, 0.0, 10.0 / (p.mass * p.diameter ** 2)), lists.x0, fading)
+        rows, drift = lists.pack(external, fading), Drift(external, lists.inverse_inertia, lists.x0, fading)
         steps = (self._steps if isinstance(self.law, ArrayLaw) else self._compiled_steps)(h, most, drift)
         self._check_behind()
         self._check_finite()
-        _kick(rows, drift.inverse_inertia, 0.5 * h, n)
-        x, state, force = rows.x, rows.state, rows.force
-        p.position, p.velocity, p.angular_velocity = x[:n].copy(), state[:n, 1:4].copy(), state[:n, 4:7].copy()
-        p.contact_force, p.contact_torque = force[:n, :3] - external, force[:n, 4:7].copy()
-        if self.fades:
-            p.contact_force -= fading[:, :3]
+        new = [np.empty((n, 3)) for _ in range(5)]
+        unpack(rows, drift, 0.5 * h, *new)
+        p.position, p.velocity, p.angular_velocity, p.contact_force, p.contact_torque = new
         return steps
 
     def _steps(self, h, most, drift):
@@ -256,7 +249,7 @@ class Contacts(SavedContacts, ContactChecks):
         """Contact forces of particles that came from outside: the first half kick needs them."""
         p, n = self.particles, len(self.particles)
         p.contact_force, p.contact_torque = np.zeros((n, 3)), np.zeros((n, 3))
-        rows = self.lists.pack(p.contact_force)
+        rows = self.lists.pack(p.contact_force, np.zeros((0, 0)))
         self._forces(0.0, 0.0)
         self._check_behind()
         self._check_finite()

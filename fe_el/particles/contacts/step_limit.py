@@ -2,7 +2,7 @@
 import numpy as np
 
 from fe_el.parallel.exchange import largest_of
-from fe_el.particles.contacts.velocity_verlet import lightest_and_smallest
+from fe_el.particles.contacts.step_ends import lightest_and_smallest
 
 
 def step_limit(particles, law, wall_law, meeting):

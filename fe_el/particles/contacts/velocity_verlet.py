@@ -1,14 +1,10 @@
-"""Velocity Verlet: kicks and drifts of a sub-step, and what comes before and after the sub-steps of a step."""
-import math
-
-import numpy as np
-
+"""Velocity Verlet: kicks and drifts of a sub-step."""
 from fe_el.compiled.cache import njit
 from fe_el.compiled.parts import part
 from fe_el.particles.contacts.law_kernels import FAST
 
 
-@njit(fastmath=FAST)
+@part(fastmath=FAST)
 def kick(rows, inverse_inertia, h, owned):
     """v += h F/m, w += h T/I."""
     state, force, inverse_mass = rows.state, rows.force, rows.inverse_mass
@@ -84,40 +80,3 @@ def drift_on(rows, drift, part, h, begin, end):
     if len(drift.fading):
         return kick_and_drift_fading(rows, drift, part, h, begin, end)
     return kick_and_drift(rows, drift, part, h, begin, end)
-
-
-@njit
-def pack(position, velocity, angular_velocity, external, contact_force, contact_torque, x, state, force):
-    """Fill the rows of the owned particles, and clear the forces of the ghosts."""
-    for i in range(len(position)):
-        for k in range(3):
-            x[i, k], state[i, 1 + k], state[i, 4 + k] = position[i, k], velocity[i, k], angular_velocity[i, k]
-            force[i, k], force[i, 4 + k] = external[i, k] + contact_force[i, k], contact_torque[i, k]
-        force[i, 3] = force[i, 7] = 0.0
-    force[len(position):] = 0.0
-
-
-@njit
-def first_not_finite(x, force):
-    """The first particle whose position or force is not a finite number, or -1."""
-    for i in range(len(x)):
-        if not np.isfinite(x[i, 0] + x[i, 1] + x[i, 2] + force[i, 0] + force[i, 1] + force[i, 2]):
-            return i
-    return -1
-
-
-@njit
-def mean_force(v, v0, mass, external, dt):
-    """Mean contact force (particles, 3) over ``dt`` from the change of momentum."""
-    return mass.reshape(-1, 1) * (v - v0) / dt - external
-
-
-@njit
-def lightest_and_smallest(material, density, diameter, count):
-    """Inverses of the least mass [1/kg] and radius [1/m] of each of ``count`` materials; zero where there is no particle."""
-    light, small = np.zeros(count), np.zeros(count)
-    for i in range(len(material)):
-        k = min(material[i], count - 1)
-        light[k] = max(light[k], 6.0 / (math.pi * density[i] * diameter[i] ** 3))
-        small[k] = max(small[k], 2.0 / diameter[i])
-    return light, small

@@ -124,6 +124,16 @@ def _list(x, reach_of, cell, near, corner, ball, particle, facet, distance):
 _direct_list = Direct(_list)
 
 
+@njit
+def wall_gaps(particle, distance, radius, room):
+    """Distance of the surface of each entry's particle from its facet over the room of the particle."""
+    gap = np.empty(len(particle))
+    for n in range(len(particle)):
+        i = particle[n]
+        gap[n] = (distance[n] - radius[i]) / room[i]
+    return gap
+
+
 def wall_list(x, reach, cell, near, corner, ball):
     """Facets within reach (particles,) [m] of each particle, of those near its cell (NearCells).
 
