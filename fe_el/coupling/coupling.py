@@ -149,7 +149,7 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
                 "pressure_share", "answer_to_velocity", "answer_to_gradient"))
             self.nothing = np.zeros((particles.cells.owned, 1))
         self.values = [field.x.array for field in self.fields]
-        self.values[0][:] = 1.0
+        self.values[0].fill(1.0)
         self.velocity_mean = self.step_mean = CellMean(mesh, velocity, d)
         if mean_velocity is not None:
             self.step_mean = CellMean(mesh, mean_velocity, d)
@@ -174,8 +174,8 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
         self.near = self._kept = self._mapped = self.layout = None
         self._work, self._none = WorkArrays(), np.zeros((0, d))
         self.steps_to_check = 0  # until the step is checked again; less: never
-        self.over_filled, self.over_filled_total, self.solid_volume_error = 0, 0, 0.0
-        self.momentum_imbalance, self.max_solid_fraction = 0.0, 0.0
+        self.over_filled = self.over_filled_total = 0
+        self.solid_volume_error = self.momentum_imbalance = self.max_solid_fraction = 0.0
 
     @classmethod
     def of(cls, fluid: Any, particles: "Particles", forces: Sequence[Any], **kwargs: Any) -> "Coupling":
@@ -243,8 +243,7 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
             self._mapped = None
             return False
         same = last is not None and last[0] is p.cells and all(map(np.array_equal, last[1:], (p.position, p.diameter)))
-        if not same:
-            self._mapped = p.cells, p.position.copy(), p.diameter.copy()
+        self._mapped = last if same else (p.cells, p.position.copy(), p.diameter.copy())
         return total_of(self.comm, int(same)) == self.comm.size
 
     def _map(self, dt):
