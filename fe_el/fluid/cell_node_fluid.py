@@ -25,6 +25,8 @@ class CellNodeFluid(CellsAndNodes):
 
     velocity: fem.Function
     pressure: fem.Function
+    cell_velocity: np.ndarray  #: (cells, d) values of ``velocity``, those of other ranks last [m/s]
+    nodal_pressure: np.ndarray  #: (m,) values of ``pressure`` [Pa]
     body_force: ArrayLike | Callable[[float, np.ndarray], ArrayLike] | None
     mass_source: ArrayLike | Callable[[float, np.ndarray], ArrayLike] | None
     eddy_viscosity: np.ndarray | None

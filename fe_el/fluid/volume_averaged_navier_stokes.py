@@ -87,7 +87,7 @@ class VolumeAveragedNavierStokes(Transport, Projection, Ledger, SavedFluid):
         self.gravity = np.zeros(d) if gravity is None else components("gravity", gravity, d)
         self.velocity = fem.Function(vector_space(mesh, "DG", 0), name="velocity")
         self.pressure = fem.Function(self.space, name="pressure")
-        self.cell_velocity, self.nodal_pressure = self.velocity.x.array.reshape(-1, d), self.pressure.x.array  # the same
+        self.cell_velocity, self.nodal_pressure = self.velocity.x.array.reshape(-1, d), self.pressure.x.array
         self.cell_halo = Halo.of_index_map(mesh.comm, self.velocity.function_space.dofmap.index_map)
         self.state, self.last_step, self.no_share = FluidState(n, self.nodes, d), None, np.zeros(n)
         self.time, self.step, self.seconds = 0.0, 0, {"fluid": 0.0}

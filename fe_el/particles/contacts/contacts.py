@@ -210,9 +210,8 @@ class Contacts(SavedContacts, ContactChecks):
         steps = (self._steps if isinstance(self.law, ArrayLaw) else self._compiled_steps)(h, most, drift)
         self._check_behind()
         self._check_finite()
-        new = [np.empty((n, 3)) for _ in range(5)]
-        unpack(rows, drift, 0.5 * h, *new)
-        p.position, p.velocity, p.angular_velocity, p.contact_force, p.contact_torque = new
+        p.position, p.velocity, p.angular_velocity, p.contact_force, p.contact_torque = (np.empty((n, 3)) for _ in range(5))
+        unpack(rows, drift, 0.5 * h, p.position, p.velocity, p.angular_velocity, p.contact_force, p.contact_torque)
         return steps
 
     def _steps(self, h, most, drift):
