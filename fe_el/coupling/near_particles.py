@@ -12,7 +12,8 @@ from mpi4py import MPI
 
 from fe_el.compiled.cache import njit
 from fe_el.compiled.for_each_dimension import M, by_dimension
-from fe_el.parallel.exchange import total_of
+from fe_el.coupling.polynomial import MatrixRows, Part, cut_out
+from fe_el.parallel.exchange import Halo, total_of
 
 if TYPE_CHECKING:
     from fe_el.coupling.smoothing import HelmholtzSmoothing
@@ -68,6 +69,14 @@ def _from_other_ranks(border, start, column, length, limit, way, waiting):
 
 
 @by_dimension
+def _mark(dofs, cells, out):
+    """Mark the nodes of cells."""
+    for c in cells:
+        for i in range(M):
+            out[dofs[c, i], 0] = 1.0
+
+
+@by_dimension
 def _touched(dofs, active, out):
     """Mark the cells that have an active node."""
     for c in range(len(dofs)):
@@ -76,22 +85,22 @@ def _touched(dofs, active, out):
 
 
 @by_dimension
-def _load(dofs, cells, volume, field, out):
-    """Add the integrals over cells of a field (cells, k) in equal shares to the nodes."""
-    share = 1.0 / M
+def _load(dofs, cells, volume, field, columns, out):
+    """Add the integrals over cells of a field (cells, k) in equal shares to the nodes; ``columns``: a tuple of k numbers, so
+    that the compiler knows k."""
     for c in cells:
-        for k in range(field.shape[1]):
-            part = share * volume[c] * field[c, k]
-            for i in range(M):
-                out[dofs[c, i], k] += part
+        share = volume[c] / M
+        for i in range(M):
+            for k in range(len(columns)):
+                out[dofs[c, i], k] += share * field[c, k]
 
 
 @by_dimension
-def _means(dofs, cells, values, out):
-    """Means over cells of nodal values."""
+def _means(dofs, cells, values, columns, out):
+    """Means over cells of nodal values (nodes, k)."""
     share = 1.0 / M
     for c in cells:
-        for k in range(values.shape[1]):
+        for k in range(len(columns)):
             total = 0.0
             for i in range(M):
                 total += values[dofs[c, i], k]
@@ -121,20 +130,40 @@ class NearParticles:
                  steps: int = 0) -> None:
         self.smoothing, self.mask, self.steps, self.lost, nodes = smoothing, filled, steps, None, smoothing.nodes
         n = nodes.owned_nodes
-        marks = np.zeros((nodes.nodes, 1))
-        marks[nodes.dofs[filled]] = 1.0
-        nodes.node_halo.forward(nodes.node_halo.reverse_add(marks))
-        self.served = self._touched(marks)
-        self.filled = np.flatnonzero(self.served)
-        active = self._shortest(ways, reach) < reach
-        self.at = np.flatnonzero(active[:n]).astype(np.uint32)
-        counts = nodes.comm.allreduce(np.array([len(self.at), n]))
+        marks = self._marked(np.flatnonzero(filled))
+        self.served = self._touched(nodes.node_halo.forward(marks))
+        self.filled = np.flatnonzero(self.served).astype(np.uint32)
+        active = self._shortest(ways, reach)[:n] < reach
+        counts = nodes.comm.allreduce(np.array([active.sum(), n]))
         self.whole = bool(counts[0] > WORTH * counts[1])
-        self.rim = np.zeros(n)
-        _rim(smoothing.matrix_rows.start, smoothing.matrix_rows.column, self.at, active, self.rim)
-        marks.fill(0.0)
-        marks[self.at] = 1.0
-        self.around = np.flatnonzero(self._touched(nodes.node_halo.forward(marks)))
+        if not self.whole:
+            self._cut_out(np.flatnonzero(active))
+            marks.fill(0.0)
+            marks[self.part.at] = 1.0
+            self.around = np.flatnonzero(self._touched(nodes.node_halo.forward(marks))).astype(np.uint32)
+
+    def _cut_out(self, at):
+        """The part of the matrix in the active rows ``at``, and which of them are at the rim."""
+        of, n, m = self.smoothing, self.smoothing.nodes.owned_nodes, len(at)
+        number, whole = np.full((of.rows, 1), -1.0), of.matrix_rows
+        number[at, 0] = np.arange(m)
+        ghosts = np.flatnonzero(of.halo.forward(number)[n:, 0] >= 0)
+        halo = Halo.of_requests(of.nodes.comm, m + np.arange(len(ghosts)), of.ghost_owners[ghosts],
+                                number[n + ghosts, 0].astype(np.int64))
+        number[n + ghosts, 0] = m + np.arange(len(ghosts))
+        start, self.rim = np.zeros(m + 1, np.uint64), np.zeros(m)
+        column, value = np.empty(len(whole.column), np.uint32), np.empty(len(whole.column))
+        at = at.astype(np.uint32)
+        cut_out(whole, at, number[:, 0].astype(np.int32), start, column, value, self.rim)
+        rows = MatrixRows(start, column[:int(start[-1])].copy(), value[:int(start[-1])].copy(), whole.inverse_diagonal[at])
+        self.part = Part(at, rows, halo, m + len(ghosts))
+
+    def _marked(self, cells):
+        """Marks (nodes, 1) at the nodes of cells, more than zero also at owned nodes of other ranks' cells."""
+        nodes = self.smoothing.nodes
+        marks = np.zeros((nodes.nodes, 1))
+        _mark(nodes.dofs, cells.astype(np.uint32), marks)
+        return nodes.node_halo.reverse_add(marks)
 
     def _touched(self, marks):
         """Mask of the cells that have a marked node."""
@@ -146,10 +175,7 @@ class NearParticles:
         """Shortest ways (rows,) from the nodes of the filled cells, on which no node is as far as the limit."""
         of, nodes = self.smoothing, self.smoothing.nodes
         n, rows = nodes.owned_nodes, of.matrix_rows
-        marks = np.zeros((nodes.nodes, 1))
-        marks[nodes.dofs[self.filled]] = 1.0
-        waiting = nodes.node_halo.reverse_add(marks)[:n, 0] > 0
-        way = np.full(of.rows, np.inf)
+        waiting, way = self._marked(self.filled)[:n, 0] > 0, np.full(of.rows, np.inf)
         way[:n][waiting] = 0.0
         while True:
             _walk(rows.start, rows.column, lengths, limit, way, np.flatnonzero(waiting), waiting)
@@ -180,29 +206,29 @@ class NearParticles:
         return self.smoothing(field) if self.whole else self._smoothed(field, self.around, self.filled)
 
     def _smoothed(self, field, source, target):
-        nodes, out = self.smoothing.nodes, np.zeros_like(field)
-        if field.shape[1]:
-            values = np.zeros((nodes.nodes, field.shape[1]))
-            _load(nodes.dofs, source, nodes.volume, field, values)
+        nodes, out, columns = self.smoothing.nodes, np.zeros_like(field), (0,) * field.shape[1]
+        if columns:
+            values = np.zeros((nodes.nodes, len(columns)))
+            _load(nodes.dofs, source, nodes.volume, field, columns, values)
             self._solve(nodes.node_halo.reverse_add(values))
-            _means(nodes.dofs, target, nodes.node_halo.forward(values), out)
+            _means(nodes.dofs, target, nodes.node_halo.forward(values), columns, out)
         return out
 
     def _solve(self, values):
-        """Loads (nodes, k), which count on the active rows, become values in place; the first time P m is found, too."""
-        of, comm, at, sums = self.smoothing, self.smoothing.nodes.comm, self.at, np.zeros((2, values.shape[1]))
+        """Loads (nodes, k) become values in place on the active rows; elsewhere they are zero, or no cell that is asked for
+        has the node. The first time P m is found, too."""
+        of, comm, at, k = self.smoothing, self.smoothing.nodes.comm, self.part.at, values.shape[1]
+        load, sums = values[:len(of.mass)], np.zeros((2, k))
+        found = of.solve(load if self.lost is not None else np.column_stack([load, of.mass]), self.part)
         if self.lost is None:
-            mass, rim = of.mass[at], self.rim[at]
-            self.lost = 1 - of.missing[at] * mass - of.scale * of.solve(of.mass[:, None], at)[at, 0]
+            mass, rim = of.mass[at], self.rim
+            self.lost = 1 - of.missing[at] * mass - of.scale * found[:, k]
             rim_mass, self.lost_mass, all_mass = comm.allreduce(np.array([rim @ mass, self.lost @ mass, mass.sum()]))
             self.rim = rim / rim_mass if rim_mass else np.full(len(at), 1 / max(all_mass, 1e-300))
-        found, load = of.solve(values[:len(of.mass)], at), values[at]
         _sums(at, self.lost, self.rim, values, sums)
         comm.Allreduce(MPI.IN_PLACE, sums)
         lost, at_rim = sums
-        values.fill(0.0)
-        _fill(at, of.scale, found, of.missing, load, values)
-        _add_lost(at, self.lost, self.rim, at_rim, lost - self.lost_mass * at_rim, values)
+        _fill(at, of.scale, found, of.missing, self.lost, self.rim, (at_rim, lost - self.lost_mass * at_rim), values)
 
 
 @njit
@@ -215,23 +241,10 @@ def _sums(at, lost, rim, load, out):
 
 
 @njit
-def _fill(at, scale, found, missing, load, values):
+def _fill(at, scale, found, missing, lost, rim, along, values):
+    """Values from loads, in place; ``along``: factors of what is lost and of the rim."""
+    as_lost, at_rim = along
     for n in range(len(at)):
+        i = at[n]
         for k in range(values.shape[1]):
-            values[at[n], k] = scale * found[at[n], k] + missing[at[n]] * load[n, k]
-
-
-@njit
-def _add_lost(at, lost, rim, as_lost, at_rim, values):
-    for n in range(len(at)):
-        for k in range(values.shape[1]):
-            values[at[n], k] += lost[n] * as_lost[k] + rim[n] * at_rim[k]
-
-
-@njit
-def _rim(start, column, at, active, out):
-    """Mark the rows that have a neighbour which is not active."""
-    for i in at:
-        for n in range(start[i], start[i + np.uint64(1)]):
-            if not active[column[n]]:
-                out[i] = 1.0
+            values[i, k] = scale * found[n, k] + missing[i] * values[i, k] + lost[n] * as_lost[k] + rim[n] * at_rim[k]

@@ -14,6 +14,7 @@ from numba.extending import intrinsic
 from fe_el.compiled.cache import njit
 from fe_el.compiled.direct_calls import Direct
 from fe_el.compiled.for_each_dimension import FAST
+from fe_el.parallel.exchange import Halo
 
 NUMBER, INDEX = ir.DoubleType(), ir.IntType(64)
 FLAGS = ("contract",)  # a product and a sum may become one instruction
@@ -27,6 +28,15 @@ class MatrixRows(NamedTuple):
     column: np.ndarray  #: (entries,) local
     value: np.ndarray  #: (entries,)
     inverse_diagonal: np.ndarray  #: (rows,)
+
+
+class Part(NamedTuple):
+    """Some of the owned rows of a matrix, numbered for themselves, and after them the ghosts of other ranks that they see."""
+
+    at: np.ndarray  #: (rows,) which of the owned rows
+    rows: MatrixRows  #: without the entries of columns that are not in the part
+    halo: Halo  #: exchange of arrays (size, k)
+    size: int  #: rows and ghosts
 
 
 class _Rows:
@@ -101,32 +111,44 @@ _four, _eight = _step_of(4), _step_of(8)
 
 
 @njit
-def begin(before, at, inverse_diagonal, scale, load, column, b, x_old, x, new):
-    """Clear the rows ``before`` of what is iterated, (rows, 4 or 8); then fill the rows ``at`` of b with the load (rows, k)
-    from a column on, and those of x with scale D^-1 b."""
-    for i in before:
-        for k in range(x.shape[1]):
-            x_old[i, k] = x[i, k] = new[i, k] = 0.0
-    for i in at:
-        f = scale * inverse_diagonal[i]
-        for k in range(x.shape[1]):
-            x_old[i, k], b[i, k] = 0.0, load[i, column + k] if column + k < load.shape[1] else 0.0
-            x[i, k] = f * b[i, k]
+def cut_out(rows, at, number, start, column, value, rim):
+    """Entries of the rows ``at`` in columns that have a number in the part, not -1; rows with others are its rim."""
+    one, entries = np.uint64(1), 0
+    for n in range(len(at)):
+        for entry in range(rows.start[at[n]], rows.start[at[n] + one]):
+            there = number[rows.column[entry]]
+            if there < 0:
+                rim[n] = 1.0
+            else:
+                column[entries], value[entries] = there, rows.value[entry]
+                entries += 1
+        start[n + 1] = entries
+
+
+@njit
+def begin(at, inverse_diagonal, scale, load, column, b, x_old, x):
+    """Fill b (rows, 4 or 8) with the load (owned rows, k) at the rows of a part, from a column on, and x with scale D^-1
+    b."""
+    for n in range(len(at)):
+        f = scale * inverse_diagonal[n]
+        for k in range(b.shape[1]):
+            x_old[n, k], b[n, k] = 0.0, load[at[n], column + k] if column + k < load.shape[1] else 0.0
+            x[n, k] = f * b[n, k]
 
 
 @Direct
 @njit(fastmath=FAST)
-def chebyshev(rows, at, b, x_old, x, new, first, second):
-    """new = x + first (x - x_old) + second D^-1 (b - H x) on the owned rows ``at``, once for each ``first``; of arrays
-    (rows, 4) or (rows, 8)."""
+def chebyshev(rows, b, x_old, x, new, first, second):
+    """new = x + first (x - x_old) + second D^-1 (b - H x) on all rows, once for each ``first``; of arrays (rows, 4) or
+    (rows, 8)."""
     start, column, value, inverse_diagonal, one = rows.start, rows.column, rows.value, rows.inverse_diagonal, np.uint64(1)
     last, now, then = x_old, x, new
     for step in range(len(first)):
         f, g = first[step], second[step]
         if b.shape[1] == 4:
-            for i in at:
+            for i in range(np.uint64(len(b))):
                 _four((then, now, last, b), i, column, value, start[i], start[i + one], f, g * inverse_diagonal[i])
         else:
-            for i in at:
+            for i in range(np.uint64(len(b))):
                 _eight((then, now, last, b), i, column, value, start[i], start[i + one], f, g * inverse_diagonal[i])
         last, now, then = now, then, last

@@ -7,7 +7,7 @@ from scipy.sparse import csr_matrix
 from fe_el.checks import positive_number, require_mesh, require_positive, whole_number
 from fe_el.compiled.for_each_dimension import M, by_dimension
 from fe_el.coupling.near_particles import STEPS, NearParticles, ways_between
-from fe_el.coupling.polynomial import MatrixRows, begin, chebyshev
+from fe_el.coupling.polynomial import MatrixRows, Part, begin, chebyshev
 from fe_el.nodes.nodal_kernels import add_integrals
 from fe_el.nodes.nodal_matrix import NodalMatrix
 from fe_el.nodes.nodal_space import NodalSpace
@@ -80,7 +80,6 @@ class HelmholtzSmoothing:
         if not positive_number("tolerance of the smoothing", tolerance) < 1:
             raise ValueError(f"The tolerance of the smoothing is {tolerance}; it must be between 0 and 1.")
         self.nodes, self._work = Nodes(mesh), WorkArrays()
-        self._used: dict[tuple[int, int], np.ndarray] = {}
         nodes, m = self.nodes, self.nodes.dofs.shape[1]
         matrix = NodalMatrix(nodes.space, nodes.dofs)
         stiffness = length ** 2 * np.einsum("cik,cjk,c->cij", nodes.gradient, nodes.gradient, nodes.volume)
@@ -91,7 +90,7 @@ class HelmholtzSmoothing:
         self._ways, self._reach = ways_between(matrix, nodes, length), float(np.log(1 / tolerance))
         low, high = self._spectrum(elements)
         self.mass = nodes.load(np.ones((len(nodes.dofs), 1)))[:nodes.owned_nodes, 0]
-        self._all = np.arange(nodes.owned_nodes, dtype=np.uint32)
+        self._all = Part(np.arange(nodes.owned_nodes, dtype=np.uint32), self.matrix_rows, self.halo, self.rows)
         self.middle, self.half = 0.5 * (high + low), max(0.5 * (high - low), 1e-12 * high)
         root = np.sqrt(high / low)
         rate = (root - 1) / (root + 1)
@@ -152,32 +151,30 @@ class HelmholtzSmoothing:
         outside = (local < 0) | (local >= n)
         self.border = np.unique(np.searchsorted(start, np.flatnonzero(outside), side="right") - 1)  # rows with ghosts
         local[outside] = n + np.searchsorted(ghosts, column[outside])
-        owners = np.searchsorted(starts, ghosts, side="right") - 1
-        self.halo = Halo.of_requests(comm, n + np.arange(len(ghosts)), owners, ghosts - starts[owners])
+        self.ghost_owners = np.searchsorted(starts, ghosts, side="right") - 1
+        self.halo = Halo.of_requests(comm, n + np.arange(len(ghosts)), self.ghost_owners, ghosts - starts[self.ghost_owners])
         self.rows = n + len(ghosts)
         self.matrix_rows = MatrixRows(start.astype(np.uint64), local.astype(np.uint32), value.copy(),
                                       1 / csr_matrix((value, local, start), (n, self.rows)).diagonal())
 
-    def solve(self, load: np.ndarray, at: np.ndarray) -> np.ndarray:
-        """Approximate H^-1 load of (owned nodes, k) by the Chebyshev polynomial, with H and load cut off to the rows
-        ``at``: (owned nodes, k), for now."""
-        parts = [self._solve(load, column, at) for column in range(0, load.shape[1], 8)]
-        return parts[0] if len(parts) == 1 else np.hstack(parts)
+    def solve(self, load: np.ndarray, part: Part) -> np.ndarray:
+        """Approximate H^-1 load of (owned nodes, k) by the Chebyshev polynomial, with H and load cut off to a part: (its
+        rows, k), for now."""
+        columns = [self._solve(load, column, part) for column in range(0, load.shape[1], 8)]
+        return columns[0] if len(columns) == 1 else np.hstack(columns)
 
-    def _solve(self, load, column, at):
+    def _solve(self, load, column, part):
         """The same for up to eight columns of the load."""
-        (n, k), steps = load.shape, len(self.first) if self.nodes.comm.size == 1 else 1
+        n, k, steps = len(part.at), load.shape[1], len(self.first) if self.nodes.comm.size == 1 else 1
         width = 4 if k - column <= 4 else 8
-        b, x_old, x, new = (self._work.empty((name, column, width), self.rows, width) for name in range(4))
-        last = self._used.get((column, width), np.arange(self.rows, dtype=np.uint32))  # rows that are not zero
-        self._used[column, width] = at
-        begin(at[:0] if last is at else last, at, self.matrix_rows.inverse_diagonal, 1 / self.middle, load, column, b, x_old,
-              x, new)
+        b = self._work.empty(("b", column, width), n, width)
+        x_old, x, new = (self._work.empty((name, column, width), part.size, width) for name in range(3))
+        begin(part.at, part.rows.inverse_diagonal, 1 / self.middle, load, column, b, x_old, x)
         for i in range(0, len(self.first), steps):
-            part = slice(i, i + steps)
-            self.halo.forward(x)
-            chebyshev(self.matrix_rows, at, b, x_old, x, new, self.first[part], self.second[part])
-            for _ in self.first[part]:
+            now = slice(i, i + steps)
+            part.halo.forward(x)
+            chebyshev(part.rows, b, x_old, x, new, self.first[now], self.second[now])
+            for _ in self.first[now]:
                 x_old, x, new = x, new, x_old
         return x[:n, :k - column]
 
