@@ -31,7 +31,7 @@ class MatrixRows(NamedTuple):
 
 
 class Part(NamedTuple):
-    """Some of the owned rows of a matrix, numbered for themselves, and after them the ghosts of other ranks that they see."""
+    """Some of the owned rows of a matrix, numbered for themselves; after them the ghosts of other ranks that they see."""
 
     at: np.ndarray  #: (rows,) which of the owned rows
     rows: MatrixRows  #: without the entries of columns that are not in the part

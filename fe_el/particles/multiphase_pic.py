@@ -21,11 +21,14 @@ if TYPE_CHECKING:
     from fe_el.particles.contacts.wall_shapes import Wall
 
 NONE_LATE = np.zeros(0)  # Particles puts back those who came in during the step
+COURANT = 0.05  # share of a cell that particles may cross in a part of a step: fronts over-fill beyond
+MOST = 1000  # parts of a step
 
 
 class MultiphasePIC:
     """The MP-PIC method (Snider, J. Comput. Phys. 170, 2001, 523), in the place of :class:`Contacts`: particles are points
-    that a stress keeps apart where they crowd, at any time step.
+    that a stress keeps apart where they crowd, at any time step. The stress knows what leaves and enters the cells of now;
+    so where particles could over-fill what they cross a step is made in parts, in which none crosses more than a twentieth.
 
     Volume and momentum of the particles go to the nodes of the mesh by its hat functions, and changes of velocity come back
     by the same functions. The stress is that of the solid fraction at the *end* of the step, by the iteration of a convex
@@ -48,7 +51,8 @@ class MultiphasePIC:
         iterations (int): at most; more where that does not do are made in the next step.
 
     Attributes:
-        max_solid_fraction (float): largest at a node at the start of the last step.
+        max_solid_fraction (float): largest at a node at the start of the last step, or of a part of it.
+        steps_last, steps_largest (int): parts of the last step, and most of any so far.
         iterations_last (int): of the last step.
         momentum_imbalance (float): what particles and walls gained together over the sum of what particles gained.
 
@@ -59,7 +63,7 @@ class MultiphasePIC:
         Collective.
     """
 
-    steps_last, largest_overlap = 1, 0.0  # as of Contacts
+    largest_overlap = 0.0  # as of Contacts
 
     def __init__(self, particles: "Particles", stress: SolidsStress | None = None,
                  walls: "Wall | Sequence[Any] | None" = None, restitution: float = 0.9, wall_restitution: float = 0.9,
@@ -85,7 +89,8 @@ class MultiphasePIC:
         self.room = self._node_rooms()
         self.pressure, self._cells, self._known = np.zeros(self.space.nodes), None, None
         self.seconds = {"solids stress": 0.0}
-        self.max_solid_fraction, self.iterations_last, self.momentum_imbalance = 0.0, 0, 0.0
+        self.max_solid_fraction, self.momentum_imbalance = 0.0, 0.0
+        self.iterations_last = self.steps_last = self.steps_largest = 0
         self._take_up()
 
     def _node_rooms(self):
@@ -120,28 +125,60 @@ class MultiphasePIC:
     # -- one step ------------------------------------------------------------------------------------------------------
 
     def advance(self, dt: float) -> None:
-        """Advance the particles by ``dt`` [s]."""
+        """Advance the particles by ``dt`` [s]; ``FloatingPointError`` where they are too fast for 1000 parts."""
         p, tick = self.particles, time.perf_counter()
         if not p.total_number or p.all_held():
             return
-        self._reach(dt)
         self._take_up()
-        start, before = p.position.copy(), p.velocity.copy()
-        motion.free_flight(p.position, p.velocity, p.force, p.inertia, p.gravity, p.relaxation_rate, p.held,
-                           NONE_LATE, dt)
-        free, mass = p.velocity.copy(), np.where(p.held, 0.0, p.inertia)
-        self.wall_impulse = np.zeros((max(len(self.walls), 1), 3))
-        weight, sums = self._to_nodes(start, mass)
-        mean, change, held = self._change_of_nodes(dt, weight, sums)
-        rows = self.space.dofs, p.cells.barycentric, p.cell
-        kernels.from_nodes(*rows, start, p.held, self._damping(dt, sums), mean, change, p.velocity)
-        kernels.move(p.position, before, free, p.velocity, p.relaxation_rate, p.held, dt)
-        p.mean_contact_force = mass[:, None] * (p.velocity - free) / dt
-        self._reflect(start, before, mass, dt)
-        self._ledger(mass, free, held, dt)
+        self.wall_impulse, self.gains = np.zeros((max(len(self.walls), 1), 3)), np.zeros(4 + self.space.dimension)
+        self.max_solid_fraction, self.iterations_last, self.steps_last, done = 0.0, 0, 0, 0.0
+        p.properties["_pushed"] = np.zeros((len(p), 3))
+        while done < dt:
+            span = self._span(dt - done)
+            self._part_of_step(dt, done, span)
+            done, self.steps_last = dt if span == dt - done else done + span, self.steps_last + 1
+        p.mean_contact_force = p.properties.pop("_pushed") / dt
+        self.steps_largest = max(self.steps_largest, self.steps_last)
+        self._ledger(dt)
         self.seconds["solids stress"] += time.perf_counter() - tick
-        p.locate()
         p.put_in_order()
+
+    def _span(self, rest):
+        """Length of the next part of a step of which ``rest`` is left [s]. A node takes up what is within as many cells as
+        particles cross, at most: that fits where they are few. Collective."""
+        p = self.particles
+        rate = kernels.crossing_rate(p.cells.barycentric, p.cell, p.velocity, p.force, p.inertia, p.gravity, p.held, rest)
+        crossed, allowed = rest * float(largest_of(self.comm, rate)[0]), COURANT
+        if crossed > allowed:
+            self._to_nodes(p.position, p.inertia)
+            allowed = max(allowed, (self.stress.close_packing / self.fullest) ** (1 / self.space.dimension) - 1)
+        if crossed > MOST * allowed:
+            raise FloatingPointError(f"Particles cross {crossed:.3g} cells in {rest:g} s, and MultiphasePIC makes a step of "
+                                     f"at most {MOST} parts of {allowed:.3g} cells; use a smaller step.")
+        return rest / max(int(np.ceil(crossed / allowed)), 1)
+
+    def _part_of_step(self, dt, done, span):
+        """A part of a step of dt, the first ``done`` of which is made."""
+        p = self.particles
+        self._reach(span)
+        self._take_up()
+        start, before, force = p.position.copy(), p.velocity.copy(), p.force.copy()
+        if span < dt:
+            kernels.force_in_part(p.force, p.mean_contact_force, p.inertia, p.gravity, p.relaxation_rate, p.held, dt, done,
+                                  span, force)
+        motion.free_flight(p.position, p.velocity, force, p.inertia, p.gravity, p.relaxation_rate, p.held, NONE_LATE, span)
+        free, mass = p.velocity.copy(), np.where(p.held, 0.0, p.inertia)
+        weight, sums = self._to_nodes(start, mass)
+        self.max_solid_fraction = max(self.max_solid_fraction, self.fullest)
+        mean, change, held = self._change_of_nodes(span, weight, sums)
+        rows = self.space.dofs, p.cells.barycentric, p.cell
+        kernels.from_nodes(*rows, start, p.held, self._damping(span, sums), mean, change, p.velocity)
+        kernels.move(p.position, before, free, p.velocity, p.relaxation_rate, p.held, span)
+        p.properties["_pushed"] += mass[:, None] * (p.velocity - free)
+        self._reflect(start, before, mass, span)
+        gain = mass[:, None] * (p.velocity - free)
+        self.gains += [*gain.sum(0), *held, np.abs(gain).sum()]
+        p.locate()
 
     def _reach(self, dt):
         """Let the halo of cells be as wide as particles may go in the step. Collective."""
@@ -160,7 +197,7 @@ class MultiphasePIC:
                          weight, sums)
         self._sums.complete(sums)
         self.solid_fraction = sums[:, 0] / np.maximum(self.room, 1e-300)
-        self.max_solid_fraction = float(largest_of(self.comm, self.solid_fraction.max(initial=0.0))[0])
+        self.fullest = float(largest_of(self.comm, self.solid_fraction.max(initial=0.0))[0])
         return weight, sums
 
     def _damping(self, dt, sums):
@@ -206,7 +243,7 @@ class MultiphasePIC:
             self.pressure, new = new, self.pressure
             if largest < self.tolerance:
                 break
-        self.iterations_last = count
+        self.iterations_last += count
         self._velocity_of(self.pressure, weight, mean, mass, dt, velocity, force, self.wall_impulse)
         held = dt * force[self._owned & (mass <= 0)].sum(0)
         return mean, velocity - mean, held
@@ -234,11 +271,9 @@ class MultiphasePIC:
         reflect_at_facets(p.cells.barycentric, p.cells.neighbour, p.cells.shift, self.facet_wall, p.cell, start, p.position,
                           p.velocity, rebound)
 
-    def _ledger(self, mass, free, held, dt):
+    def _ledger(self, dt):
         """Forces on the walls, and what is left of the momentum that particles, walls and what is held gained together."""
-        p, d = self.particles, self.space.dimension
-        gain = mass[:, None] * (p.velocity - free)
-        sums = sums_of(self.comm, *gain.sum(0), *held, np.abs(gain).sum(), *self.wall_impulse.ravel())
+        d, sums = self.space.dimension, sums_of(self.comm, *self.gains, *self.wall_impulse.ravel())
         impulse = sums[4 + d:].reshape(-1, 3)
         for wall, on_wall in zip(self.walls, impulse):
             wall.force = on_wall / dt

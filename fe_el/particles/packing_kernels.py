@@ -213,6 +213,38 @@ def damping_of(sums, solid, pressure, restitution, packing, dt, out):
 
 
 @njit(fastmath=FAST)
+def crossing_rate(barycentric, cell, velocity, force, inertia, gravity, held, dt):
+    """Largest rate at which the hat functions at a particle change [1/s], with its velocity of now or of free flight after
+    dt: over 1/rate it goes through a cell."""
+    largest = 0.0
+    for i in range(len(cell)):
+        if held[i]:
+            continue
+        for v in range(barycentric.shape[1]):
+            now, change = 0.0, 0.0
+            for k in range(3):
+                now += barycentric[cell[i], v, k] * velocity[i, k]
+                change += barycentric[cell[i], v, k] * dt * (gravity[k] + force[i, k] / inertia[i])
+            largest = max(largest, abs(now), abs(now + change))
+    return largest
+
+
+@njit
+def force_in_part(force, stress_force, inertia, gravity, rate, held, dt, start, span, out):
+    """Force (particles, 3) [N] in the part of a step that begins at ``start``: as :func:`~motion.forces_in_step` has it,
+    what velocities are expected to change by fades with their relaxation, minus the stress's force of the last step is
+    constant. So the impulse over all parts is that of the step, and without stress free flight in parts is that of the
+    whole."""
+    for i in range(len(force)):
+        part = 1.0
+        if rate[i] * dt > 1e-12:
+            part = math.exp(-rate[i] * start) * math.expm1(-rate[i] * span) / math.expm1(-rate[i] * dt) * dt / span
+        for k in range(3):
+            expected = 0.0 if held[i] else inertia[i] * gravity[k] + force[i, k] + stress_force[i, k]
+            out[i, k] = part * expected - inertia[i] * gravity[k] - stress_force[i, k]
+
+
+@njit
 def move(position, start, free, velocity, rate, held, dt):
     """Carry positions, which are those of free flight, to where the particles come with the new velocities.
 
