@@ -64,4 +64,4 @@ class LightParticles:
         courant, density = largest_of(self.comm, courant, density)
         if density > LIQUID:
             return 0.0
-        return 0.5 * float(np.clip((4 - courant) / 3, 0.0, 1.0))
+        return 0.5 * float(min(max((4 - courant) / 3, 0.0), 1.0))

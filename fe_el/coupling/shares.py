@@ -2,7 +2,9 @@
 import numpy as np
 
 from fe_el.compiled.cache import njit
+from fe_el.compiled.parts import part
 
+U = np.uint64  # indices without a sign need no test for counting from the end
 FAST = {"contract", "reassoc", "nsz", "arcp"}
 
 
@@ -16,55 +18,87 @@ def in_order(order, cell, position, radius, out_cell, out_position, out_radius):
             out_position[i, k] = position[j, k]
 
 
+# Loops run over the entries of all particles, not over those of each: how many a particle has cannot be foreseen, and at
+# each wrong guess a processor starts anew. Every particle has one at least.
+
+@part(fastmath=FAST)
+def _next(start, row, n):
+    """The row of entry n + 1, if that of entry n is ``row``."""
+    return row + U(start[row + U(1)] == n + 1)
+
+
+@part(fastmath=FAST)
+def _deposit_four(start, cell, weight, order, quantity, k, out):
+    """Four columns from k on: one vector instruction each."""
+    row, ordered = U(0), len(order) > 0
+    for n in range(len(cell)):
+        i, j, w = U(order[row]) if ordered else row, U(cell[n]), weight[n]
+        out[j, k] += w * quantity[i, k]
+        out[j, k + 1] += w * quantity[i, k + 1]
+        out[j, k + 2] += w * quantity[i, k + 2]
+        out[j, k + 3] += w * quantity[i, k + 3]
+        row = _next(start, row, n)
+
+
 @njit(fastmath=FAST)
 def _deposit(start, cell, weight, order, quantity, out):
-    ordered = len(order) > 0
-    for row in range(len(start) - 1):
-        i, k = order[row] if ordered else row, 0
-        while k + 3 < quantity.shape[1]:  # columns in fours: one vector instruction each
-            a, b, c, d = quantity[i, k], quantity[i, k + 1], quantity[i, k + 2], quantity[i, k + 3]
-            for n in range(start[row], start[row + 1]):
-                j, w = np.uint64(cell[n]), weight[n]
-                out[j, k] += w * a
-                out[j, k + 1] += w * b
-                out[j, k + 2] += w * c
-                out[j, k + 3] += w * d
-            k += 4
-        while k < quantity.shape[1]:
-            a = quantity[i, k]
-            for n in range(start[row], start[row + 1]):
-                out[np.uint64(cell[n]), k] += weight[n] * a
-            k += 1
+    k, ordered = 0, len(order) > 0
+    while k + 3 < quantity.shape[1]:
+        _deposit_four(start, cell, weight, order, quantity, k, out)
+        k += 4
+    for m in range(k, quantity.shape[1]):
+        row = U(0)
+        for n in range(len(cell)):
+            out[U(cell[n]), m] += weight[n] * quantity[U(order[row]) if ordered else row, m]
+            row = _next(start, row, n)
+
+
+@part(fastmath=FAST)
+def _gather_six(start, cell, weight, order, field, k, out):
+    """Six columns from k on."""
+    row, ordered = U(0), len(order) > 0
+    a = b = c = d = e = f = 0.0
+    for n in range(len(cell)):
+        i, j, w = U(order[row]) if ordered else row, U(cell[n]), weight[n]
+        a, b, c = a + w * field[j, k], b + w * field[j, k + 1], c + w * field[j, k + 2]
+        d, e, f = d + w * field[j, k + 3], e + w * field[j, k + 4], f + w * field[j, k + 5]
+        out[i, k], out[i, k + 1], out[i, k + 2], out[i, k + 3], out[i, k + 4], out[i, k + 5] = a, b, c, d, e, f
+        last, row = row, _next(start, row, n)
+        a, b, c = a if row == last else 0.0, b if row == last else 0.0, c if row == last else 0.0
+        d, e, f = d if row == last else 0.0, e if row == last else 0.0, f if row == last else 0.0
+
+
+@part(fastmath=FAST)
+def _gather_four(start, cell, weight, order, field, k, out):
+    """Four columns from k on."""
+    row, ordered = U(0), len(order) > 0
+    a = b = c = d = 0.0
+    for n in range(len(cell)):
+        i, j, w = U(order[row]) if ordered else row, U(cell[n]), weight[n]
+        a, b, c, d = a + w * field[j, k], b + w * field[j, k + 1], c + w * field[j, k + 2], d + w * field[j, k + 3]
+        out[i, k], out[i, k + 1], out[i, k + 2], out[i, k + 3] = a, b, c, d
+        last, row = row, _next(start, row, n)
+        a, b = a if row == last else 0.0, b if row == last else 0.0
+        c, d = c if row == last else 0.0, d if row == last else 0.0
 
 
 @njit(fastmath=FAST)
 def _gather(start, cell, weight, order, field, out):
-    ordered = len(order) > 0
-    for row in range(len(start) - 1):
-        i, k = order[row] if ordered else row, 0
-        while k + 3 < field.shape[1]:
-            a = b = c = d = 0.0
-            for n in range(start[row], start[row + 1]):
-                j, w = np.uint64(cell[n]), weight[n]
-                a += w * field[j, k]
-                b += w * field[j, k + 1]
-                c += w * field[j, k + 2]
-                d += w * field[j, k + 3]
-            out[i, k], out[i, k + 1], out[i, k + 2], out[i, k + 3] = a, b, c, d
+    k, ordered = 0, len(order) > 0
+    while k + 3 < field.shape[1]:
+        if k + 5 < field.shape[1]:
+            _gather_six(start, cell, weight, order, field, k, out)
+            k += 6
+        else:
+            _gather_four(start, cell, weight, order, field, k, out)
             k += 4
-        while k + 1 < field.shape[1]:
-            a = b = 0.0
-            for n in range(start[row], start[row + 1]):
-                j, w = np.uint64(cell[n]), weight[n]
-                a += w * field[j, k]
-                b += w * field[j, k + 1]
-            out[i, k], out[i, k + 1] = a, b
-            k += 2
-        if k < field.shape[1]:
-            a = 0.0
-            for n in range(start[row], start[row + 1]):
-                a += weight[n] * field[np.uint64(cell[n]), k]
-            out[i, k] = a
+    for m in range(k, field.shape[1]):
+        row, a = U(0), 0.0
+        for n in range(len(cell)):
+            a += weight[n] * field[U(cell[n]), m]
+            out[U(order[row]) if ordered else row, m] = a
+            last, row = row, _next(start, row, n)
+            a = a if row == last else 0.0
 
 
 @njit(fastmath=FAST)
