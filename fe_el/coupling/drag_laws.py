@@ -5,18 +5,39 @@ rho phi |u - v| d / mu. Laws published for the total force of the fluid (Tenneti
 because model A adds the pressure gradient separately. Every law takes and returns arrays, is finite at Reynolds number zero
 (Stokes), and may be replaced by a function of your own with the same two arguments.
 """
+import math
+
 import numpy as np
+
+from fe_el.compiled.cache import njit
+from fe_el.compiled.elementary import exponential, logarithm
 
 _SMALL = 1e-12
 
 
+@njit(fastmath={"contract"}, error_model="numpy")
+def _beetstra(solid_fraction, reynolds, out):
+    """One loop that becomes vectors: a third of the time of whole arrays, operation by operation."""
+    for i in range(len(out)):
+        s, phi, re = solid_fraction[i], 1 - solid_fraction[i], _SMALL if reynolds[i] < _SMALL else reynolds[i]
+        log, by_phi, square = logarithm(re), 1 / phi, phi * phi
+        viscous = 10 * s * by_phi * by_phi + square * (1 + 1.5 * math.sqrt(s))
+        inertial = by_phi + 3 * s * phi + 8.4 * exponential(-0.343 * log)
+        crowded = 1 + exponential(3 * math.log(10) * s - (0.5 + 2 * s) * log)
+        out[i] = viscous + 0.413 / 24 * re * by_phi * by_phi * inertial / crowded
+
+
+def _one_by_one(loop, solid_fraction, reynolds):
+    """A law's loop for numbers or arrays that broadcast."""
+    s, re = np.broadcast_arrays(np.asarray(solid_fraction, float), np.asarray(reynolds, float))
+    out = np.empty(s.shape)
+    loop(np.ascontiguousarray(s).reshape(-1), np.ascontiguousarray(re).reshape(-1), out.reshape(-1))
+    return out[()]
+
+
 def beetstra(solid_fraction: np.ndarray, reynolds: np.ndarray) -> np.ndarray:
     """Beetstra, van der Hoef & Kuipers, AIChE J. 53 (2007) 489; Re to 1000, solid fraction to 0.6."""
-    s, phi, re = solid_fraction, 1 - solid_fraction, np.maximum(reynolds, _SMALL)
-    log = np.log(re)  # powers by exponentials, which cost a third
-    viscous = 10 * s / phi ** 2 + phi ** 2 * (1 + 1.5 * np.sqrt(s))
-    inertial = (1 / phi + 3 * s * phi + 8.4 * np.exp(-0.343 * log)) / (1 + np.exp(3 * np.log(10) * s - (0.5 + 2 * s) * log))
-    return viscous + 0.413 * re / (24 * phi ** 2) * inertial
+    return _one_by_one(_beetstra, solid_fraction, reynolds)
 
 
 def tang(solid_fraction: np.ndarray, reynolds: np.ndarray) -> np.ndarray:
