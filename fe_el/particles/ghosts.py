@@ -70,6 +70,28 @@ def forward_state(ghosts, owned, x, state):
 _forward_state = Direct(forward_state)
 
 
+def boxes_of(comm, low, high):
+    """Boxes (ranks, 2, 3) with those two corners on each rank. Collective."""
+    boxes = np.empty((comm.size, 2, 3))
+    comm.Allgather(np.array([low, high]), boxes)
+    return boxes
+
+
+def offsets_of(period):
+    """Of a periodic box's images, itself included, each (3,) [m]."""
+    steps = [(-1, 0, 1) if period is not None and period[k] > 0 else (0,) for k in range(3)]
+    return [np.array(o, float) * (0 if period is None else period) for o in itertools.product(*steps)]
+
+
+def boxes_around(comm, position, reach, period):
+    """Boxes (boxes, 2, 3) of the particles of other ranks, and of their images, which are within ``reach`` [m] of the box of
+    these. Collective."""
+    low, high, _ = bounds(position)
+    boxes = np.delete(boxes_of(comm, low, high), comm.rank, 0)
+    images = (boxes[:, None] + np.array(offsets_of(period))[None, :, None]).reshape(-1, 2, 3)
+    return images[((images[:, 0] - reach <= high) & (images[:, 1] + reach >= low)).all(1)]
+
+
 class Ghosts:
     """Which particles are sent where, and by how much their images are shifted.
 
@@ -85,11 +107,9 @@ class Ghosts:
 
     def __init__(self, comm, position, reach, period=None):
         self.comm, self.requests, n = comm, None, len(position)
-        steps = [(-1, 0, 1) if period is not None and period[k] > 0 else (0,) for k in range(3)]
-        offsets = [np.array(o, float) * (0 if period is None else period) for o in itertools.product(*steps)]
+        offsets = offsets_of(period)
         low, high, _ = bounds(position)
-        boxes = np.empty((comm.size, 2, 3))
-        comm.Allgather(np.array([low - reach, high + reach]), boxes)  # of no particles: from infinity to minus infinity
+        boxes = boxes_of(comm, low - reach, high + reach)  # of no particles: from infinity to minus infinity
         near = np.any([((boxes[:, 0] - o <= high) & (boxes[:, 1] - o >= low)).all(1) for o in offsets], axis=0)
         self.send, shifts = [], []
         for rank, (lower, upper) in enumerate(boxes):

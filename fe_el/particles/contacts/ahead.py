@@ -49,7 +49,7 @@ def kinds():
                        _record(WallRows, *_arrays("f82 i81 f82 f81 f82 i81 f83")), block, block, law, law)
     ghosts = _record(GhostRows, *_arrays("i81 f82 f82 i81 f82 f82"), types.Tuple((*_arrays("u11 u11"), WHOLE)),
                      types.Tuple((WHOLE, types.UniTuple(WHOLE, 4), *_arrays("f81"))))
-    tiles = _record(Tiles, *_arrays("i81 i81 i81 i81 i81 i81"), *(WHOLE,) * 5)
+    tiles = _record(Tiles, *_arrays("i81 i81 i81 i81 i81 i81 f82"), *(WHOLE,) * 6)
     return [WHOLE, REAL, WHOLE, types.UniTuple(REAL, 2), assembly, ghosts, tiles, _record(Near, REAL, WHOLE, WHOLE), WHOLE,
             REAL]
 

@@ -6,7 +6,8 @@ from fe_el.parallel.exchange import largest_of
 from fe_el.particles.contacts import neighbours, springs, step_ends, wall_lists, waves
 from fe_el.particles.contacts import walls as _walls
 from fe_el.particles.contacts.blocks import aligned
-from fe_el.particles.contacts.records import Candidates, FacetRows, Facets, Near, Pairs, Rows, ShapeRows, Tiles, WallRows
+from fe_el.particles.contacts.in_tiles import InTiles
+from fe_el.particles.contacts.records import Candidates, FacetRows, Facets, Near, Pairs, Rows, ShapeRows, WallRows
 from fe_el.particles.contacts.room import Room
 from fe_el.particles.contacts.saved_contacts import SavedLists
 from fe_el.particles.contacts.sub_steps import FIRST, prune
@@ -16,9 +17,8 @@ from fe_el.particles.contacts.wall_surfaces import rotation
 from fe_el.particles.ghosts import Ghosts
 from fe_el.particles.motion import primary_diameters
 
-SORT_EVERY = 8  # rebuilds
 
-class ContactLists(SavedLists, Room):
+class ContactLists(SavedLists, Room, InTiles):
     """Neighbour pairs, facet contacts and contacts with planes and cylinders, as records for the compiled loops.
 
     Every particle has room to move in before the lists are out of date: half the skin, and more if it is fast. A pair is
@@ -165,8 +165,8 @@ class ContactLists(SavedLists, Room):
         """Locate, migrate, sort, exchange ghosts and make the lists, keeping the springs of live contacts."""
         p, comm = self.particles, self.particles.comm
         kept = self.collect(step, layout, comm.size > 1 or p.period is not None)
-        largest, speed, inverse = largest_of(comm, *((p.diameter.max(), p.speed(),
-                                                      1 / p.diameter.min()) if len(p) else np.zeros(3)))
+        largest, speed, inverse, few = largest_of(comm, *((p.diameter.max(), p.speed(), 1 / p.diameter.min()) if len(p) else
+                                                          np.zeros(3)), float(len(p) < waves.FROM))
         self._choose_skin(1 / max(inverse, 1e-300), largest, speed, h)
         self._choose_wall_room(largest, h)
         widest = self._room(speed)
@@ -179,9 +179,8 @@ class ContactLists(SavedLists, Room):
         before, destination = p.id, p.locate()
         if destination is not None:
             kept = springs.moved(comm, kept, destination, before, p.id)
-        in_tiles = comm.size == 1 and len(p) >= waves.FROM
-        if self.rebuilds % SORT_EVERY == 0 or layout is None or in_tiles and self.tile_layout != p.layout:
-            kept = self._sort(kept, largest + self.skin, in_tiles)
+        if self._in_disorder(layout, not few):
+            kept = self._sort(kept, largest + self.skin, not few)
         if self.ghosts is not None:
             self.ghosts.free()
         self.ghosts = Ghosts(comm, p.position, largest + 2 * widest, p.period)
@@ -195,11 +194,11 @@ class ContactLists(SavedLists, Room):
                          np.empty(len(radius)), self.ghosts.grow(p.material).view(np.uint32), np.empty((parcels, 2)))
         self.rows.state[:, 0] = radius
         self.weigh()
-        self._lists(x, pairs, self.ghosts.grow(room), kept, step)
-        self.load[:, 6] = 0.0
         self.x0, self.age = np.empty((len(p), 4)), 0
         left = room - h * speeds  # out of date a sub-step early
         self.x0[:, :3], self.x0[:, 3] = p.position, 1 / (left * left)
+        self._lists(x, pairs, self.ghosts.grow(room), kept, step)
+        self.load[:, 6] = 0.0
         self.rebuilds += 1
 
     def weigh(self):
@@ -211,21 +210,6 @@ class ContactLists(SavedLists, Room):
         if len(self.rows.parcel):
             self.rows.parcel[:, 0] = self.number * self.rows.inverse_mass
             self.rows.parcel[:, 1] = primary_diameters(self.rows.radius, self.number)
-
-    def _sort(self, kept, size, in_tiles):
-        """Order the particles by boxes of two reaches along a Morton curve, for cache locality, and by tiles before that."""
-        p = self.particles
-        if not len(p):
-            return kept
-        tile, self.strips = waves.tiles(p.position, p.period, size) if in_tiles else (np.zeros(len(p), np.int64), 1)
-        order = np.lexsort((p.id, neighbours.morton_code(p.position, neighbours.bounds(p.position)[0], 2 * size), tile))
-        place = np.empty_like(order)
-        place[order] = np.arange(len(order))
-        p.select(order)
-        self.tile_layout = p.layout if in_tiles else None
-        count = -(-(int(tile.max()) + 1) // self.strips) * self.strips  # whole slabs
-        self.tile_starts = np.concatenate([[0], np.cumsum(np.bincount(tile, minlength=count))])
-        return [one._replace(particle=place[one.particle]) for one in kept]
 
     def _pairs(self, room):
         """Positions and pairs with the ghosts that have a partner here; the others are given up."""
@@ -256,9 +240,7 @@ class ContactLists(SavedLists, Room):
         p, n, radius = self.particles, len(self.particles), self.rows.radius
         in_tiles = self.tile_layout == p.layout
         if in_tiles:
-            count = len(self.tile_starts) - 1
-            tile = self.ghosts.grow(np.repeat(np.arange(count), np.diff(self.tile_starts)))
-            *pairs, pair_starts, apart, apart_strips = waves.by_tile(*pairs, tile, self.strips, count)
+            *pairs, tiles = self._tiles(x, pairs)
         none, reach = (np.zeros(0, np.uint32),) * 2, radius + room
         facets, shapes, wall_gaps = none, none, np.zeros(0)
         if len(self.facets.corner):
@@ -277,12 +259,8 @@ class ContactLists(SavedLists, Room):
         likely = [listed[:prune(gap, FIRST, listed)] for gap, listed in zip(gaps, self.candidates[2:])]
         self.near, self.tiles = Near(FIRST, *map(len, likely)), waves.NONE
         if in_tiles:
-            images = np.argsort(tile[n:], kind="stable")
-            facet_starts, shape_starts = (np.searchsorted(a, self.tile_starts) for a in (facets[0], shapes[0]))
-            image_starts = np.searchsorted(tile[n:][images], np.arange(count + 1))
-            self.tiles = Tiles(self.tile_starts, pair_starts, facet_starts, shape_starts, image_starts, images, self.strips,
-                               apart, apart_strips,
-                               *waves.at_once(n, count // self.strips, apart, self.strips, apart_strips))
+            facet_starts, shape_starts = (np.searchsorted(a, tiles.starts) for a in (facets[0], shapes[0]))
+            self.tiles = tiles._replace(facets=facet_starts, shapes=shape_starts)
         memory = self._memory_of_pairs(len(pairs[0])), *(np.zeros((len(a[0]), self.width)) for a in (facets, shapes))
         empty = [(a, np.empty(len(a), np.int32)) for a in memory]
         self.pairs = Pairs(*pairs, *empty[0])

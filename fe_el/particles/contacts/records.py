@@ -121,12 +121,14 @@ class Tiles(NamedTuple):
     facets: np.ndarray  #: (tiles + 1,)
     shapes: np.ndarray  #: (tiles + 1,)
     image_starts: np.ndarray  #: (tiles + 1,) in ``images``
-    images: np.ndarray  #: periodic images, tile by tile
+    images: np.ndarray  #: periodic images of this rank's particles, tile by tile
+    ghost_x0: np.ndarray  #: (ghosts, 4) as ``x0`` of :class:`Drift`; no rows on one rank
     strips: int  #: in a slab
     apart: int  #: how many slabs the particles of a pair may be apart
     apart_strips: int  #: the same of strips
     at_once: int  #: sub-steps that follow each other
     width: int  #: strips of a block
+    first_image: int  #: ghosts before the periodic images of this rank's particles
 
 
 class Assembly(NamedTuple):

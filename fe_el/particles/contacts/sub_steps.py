@@ -13,7 +13,7 @@ from fe_el.particles.contacts.velocity_verlet import drift_on
 from fe_el.particles.contacts.wall_shapes import move_walls, note_forces, push_walls, shape_forces
 from fe_el.particles.contacts.wall_surfaces import carry_facets
 from fe_el.particles.contacts.walls import facet_forces
-from fe_el.particles.contacts.waves import part_of, refresh_images, wave_length
+from fe_el.particles.contacts.waves import ghosts_moved, part_of, refresh_images, wave_length
 from fe_el.particles.ghosts import forward_state
 
 FIRST = 1 / 16  # share of the particles' room at which lists begin
@@ -94,7 +94,7 @@ def shapes_of(shapes, begin, end):
 @part
 def wave(number, ahead, h, assembly, ghosts, tiles, near, step, deepest):
     """``number`` sub-steps that follow each other through the tiles; displacements are meant to stay below ``ahead``,
-    a share of the particles' room.
+    a share of the particles' room. Collective.
 
     Returns:
         largest squares of displacement, velocity and its change, over the room, and what :func:`all_forces` returns.
@@ -117,9 +117,14 @@ def wave(number, ahead, h, assembly, ghosts, tiles, near, step, deepest):
             c, e = slab * strips + low, slab * strips + high
             d2, v2, c2 = drift_on(rows, drift, 1.0, h, starts[c], starts[e])
             moved, speed, change = max(moved, d2), max(speed, v2), max(change, c2)
+            if slab == 0 and ghosts.ranks[0] > 1:  # whatever ghosts touch, here and on other ranks, is in this slab
+                forward_state(ghosts, owned, rows.x, rows.state)
+                rows.force[owned:] = 0.0
+                d2 = max(d2, ghosts_moved(rows, owned, tiles.ghost_x0))
+                moved = max(moved, d2)
             moved = math.inf if math.isnan(d2) else moved
             refresh_images(tiles.images[tiles.image_starts[c]:tiles.image_starts[e]], ghosts.images, ghosts.shift, owned,
-                           rows)
+                           tiles.first_image, rows)
             near = update_near(moved, candidates, near)
             if near.reach != reach:  # the lists were made anew
                 reach = near.reach
@@ -171,11 +176,13 @@ def sub_steps(most, h, age, room_of_walls, assembly, ghosts, tiles, near, step, 
         else:
             moved, speed, change, touching, back, deepest, reach, pairs, facets = wave(
                 number, ahead, h, assembly, ghosts, tiles, near, step + made + 1, deepest)
+            moved = largest(ghosts.ranks, moved)
         near = Near(reach, pairs, facets)
         behind, made, part = max(behind, back), made + number, 1.0
         room = 1 - math.sqrt(moved)
         stale = not room >= 0 or wall_rate * h * (age + made) > 1 or loaded and walls.load[:, 6].max() > wall_room
-        if len(tiles.starts) > 1 and wall_rate == 0.0 and not stale:
+        if tiles.at_once > 1 and wall_rate == 0.0 and not stale:
+            speed, change = largest(ghosts.ranks, speed), largest(ghosts.ranks, change)
             number, ahead = wave_length(min(most - made, tiles.at_once), room, h, math.sqrt(speed), math.sqrt(change))
             ahead += math.sqrt(moved)
     return made, stale, touching, behind, deepest, near.reach, near.pairs, near.facets

@@ -5,6 +5,10 @@ made the last one, so a few sub-steps follow each other through the bed like wav
 stays in the caches. In wide beds they do so in one block of strips after the other; each sub-step's block lies a few strips
 behind that of the last. Without blocks every particle gets its forces in the same order as in one sub-step after the other
 on the same lists.
+
+On several ranks slabs are layers by the distance from the other ranks' particles, and all that touch ghosts are in the first
+one. So a sub-step exchanges ghosts where it begins, as it does without waves, and goes away from the other ranks, with the
+next ones behind it.
 """
 import numpy as np
 
@@ -19,7 +23,8 @@ FINE = 2  # slabs in the reach of a contact
 STRIPS = 2  # the same of strips
 AT_ONCE = 8  # sub-steps at most
 IN_CACHE = 32000  # particles, with their contacts
-NONE = Tiles(*(np.zeros(1, np.int64),) * 6, strips=1, apart=0, apart_strips=0, at_once=1, width=1)
+NONE = Tiles(*(np.zeros(1, np.int64),) * 6, np.zeros((0, 4)), strips=1, apart=0, apart_strips=0, at_once=1, width=1,
+             first_image=0)
 
 
 def tiles(position, period, reach):
@@ -42,6 +47,37 @@ def tiles(position, period, reach):
     wide = len(position) * (FINE + 2) * AT_ONCE > IN_CACHE * slabs
     strip, strips = cut(along, STRIPS * length[along] / reach) if wide else (np.zeros_like(slab), 1)
     return slab * strips + strip, strips
+
+
+@njit
+def _distances(position, boxes):
+    """Of each position from the nearest box (boxes, 2, 3), zero inside [m]."""
+    out = np.empty(len(position))
+    for i in range(len(position)):
+        least = np.inf
+        for b in range(len(boxes)):
+            square = 0.0
+            for k in range(3):
+                gap = max(boxes[b, 0, k] - position[i, k], position[i, k] - boxes[b, 1, k], 0.0)
+                square += gap * gap
+            least = min(least, square)
+        out[i] = np.sqrt(least)
+    return out
+
+
+def layers(position, boxes, reach):
+    """Number of each particle's layer by its distance from boxes (boxes, 2, 3) of other ranks' particles; where there are
+    none, from the end of the longest direction."""
+    lower, _, extent = neighbours.bounds(position)
+    along = int(np.argmax(extent))
+    distance = _distances(position, boxes) if len(boxes) else position[:, along] - lower[along]
+    return (distance / max(reach / FINE, distance.max() * SLAB / len(position))).astype(np.int64)
+
+
+def first_tile(starts, tile, near):
+    """Tiles as one where any of the particles ``near`` other ranks are: beginnings, and the number of each particle's."""
+    last = int(tile[near].max(initial=0))
+    return np.append(0, starts[last + 1:]), np.maximum(tile - last, 0)
 
 
 @njit
@@ -78,7 +114,7 @@ def at_once(particles, slabs, apart, strips, apart_strips):
 
     A block is fetched once for all of its sub-steps, with what these add on its side: the choice fetches the least.
     """
-    best, lag = None, particles * (apart + 1) / slabs
+    best, lag = None, max(particles, 1) * (apart + 1) / slabs
     for number in range(2, AT_ONCE + 1):
         block = int(IN_CACHE / (lag * number) * strips)
         behind = (apart_strips + 1) * (number - 1)
@@ -107,17 +143,29 @@ def wave_length(most, room, step, speed, change):
 
 
 @part
-def refresh_images(which, source, shift, owned, rows):
-    """Set some of the periodic images to their particles."""
+def refresh_images(which, source, shift, owned, first, rows):
+    """Set some of the periodic images, before which there are ``first`` other ghosts, to their particles."""
     x, state, force = rows.x, rows.state, rows.force
     for k in range(len(which)):
         n = which[k]
-        i, g = source[n], owned + n
+        i, g = source[n], owned + first + n
         for q in range(3):
-            x[g, q] = x[i, q] + shift[n, q]
+            x[g, q] = x[i, q] + shift[first + n, q]
             state[g, 1 + q], state[g, 4 + q] = state[i, 1 + q], state[i, 4 + q]
         for q in range(8):
             force[g, q] = 0.0
+
+
+@part
+def ghosts_moved(rows, owned, x0):
+    """Largest square of the displacement of a ghost from x0 (ghosts, 4), over its room."""
+    x, largest = rows.x, 0.0
+    for n in range(len(x0)):
+        dx, dy, dz = x[owned + n, 0] - x0[n, 0], x[owned + n, 1] - x0[n, 1], x[owned + n, 2] - x0[n, 2]
+        square = x0[n, 3] * (dx * dx + dy * dy + dz * dz)
+        if not square <= largest:
+            largest = square
+    return largest
 
 
 @part
