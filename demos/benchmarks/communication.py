@@ -41,20 +41,27 @@ def arguments():
     return p
 
 
-def scene(ranks):
-    """A step of a dense periodic suspension with contacts, of one block of cubes for each rank, as functions by stage."""
-    cubes = CUBES * np.array(MPI.Compute_dims(ranks, 3))
+def suspension(blocks, filled=True):
+    """A dense periodic suspension with contacts of some blocks of cubes: beads (none unless ``filled``), contacts, gas and
+    coupling."""
+    cubes = CUBES * np.array(MPI.Compute_dims(blocks, 3))
     lengths, down = cubes * EDGE, np.array([0, 0, -9.81])
     middles = (np.stack(np.meshgrid(*[np.arange(n) for n in cubes], indexing="ij"), -1).reshape(-1, 3) + 0.5) * EDGE
     mesh, _ = fe_el.periodic_box(lengths, cubes.tolist(), balance=middles)
     beads = fe_el.Particles(mesh, DENSITY, down)
-    count = round(SOLID * lengths.prod() / (np.pi / 6 * DIAMETER ** 3))
-    beads.insert_in_box((0, 0, 0), lengths, count, DIAMETER, seed=1, without_overlap=True)
-    beads.velocity[:] = 0.05 * np.random.default_rng(1).normal(size=(count, 3))[beads.id]
+    if filled:
+        count = round(SOLID * lengths.prod() / (np.pi / 6 * DIAMETER ** 3))
+        beads.insert_in_box((0, 0, 0), lengths, count, DIAMETER, seed=1, without_overlap=True)
+        beads.velocity[:] = 0.05 * np.random.default_rng(1).normal(size=(count, 3))[beads.id]
     weight = -(SOLID * DENSITY + (1 - SOLID) * GAS_DENSITY) * down
     gas = fe_el.VolumeAveragedNavierStokes(mesh, None, GAS_DENSITY, GAS_VISCOSITY, down, mean_pressure_gradient=weight)
     contacts = fe_el.Contacts(beads, fe_el.LinearSpringDashpot(2.0, 0.9, 0.1), steps_per_contact=12)
-    coupling = fe_el.Coupling.of(gas, beads, [fe_el.Drag("beetstra"), fe_el.PressureGradient()])
+    return beads, contacts, gas, fe_el.Coupling.of(gas, beads, [fe_el.Drag("beetstra"), fe_el.PressureGradient()])
+
+
+def scene(ranks):
+    """A step of the suspension of one block for each rank, as functions by stage."""
+    beads, contacts, gas, coupling = suspension(ranks)
     return contacts, beads, (lambda: coupling.to_fluid(DT), lambda: gas.advance(DT, coupling.fields),
                              lambda: coupling.to_particles(DT), lambda: beads.advance(DT, contacts))
 
@@ -75,15 +82,21 @@ def compiler():
     return here[1]
 
 
-def count(library, steps):
-    """Table (stages, kinds, 3) of calls, messages and bytes per rank and step, means over the ranks; on every rank."""
+def count_compiled_calls(library):
+    """Let compiled loops call MPI through the library, which is returned, too."""
     import llvmlite.binding
 
     import fe_el.parallel.messages  # noqa: F401  has told compiled loops its functions; they get those that count
-    counter, comm = ctypes.CDLL(library), MPI.COMM_WORLD
+    counter = ctypes.CDLL(library)
     for name in ("MPI_Startall", "MPI_Waitall", "MPI_Allreduce"):
         ours = getattr(counter, name if name != "MPI_Startall" else "halo_startall")
         llvmlite.binding.add_symbol(name, ctypes.cast(ours, ctypes.c_void_p).value)
+    return counter
+
+
+def count(library, steps):
+    """Table (stages, kinds, 3) of calls, messages and bytes per rank and step, means over the ranks; on every rank."""
+    counter, comm = count_compiled_calls(library), MPI.COMM_WORLD
     stage = ctypes.c_int.in_dll(counter, "stage")
     table = np.ctypeslib.as_array((ctypes.c_double * (32 * len(KINDS) * 3)).in_dll(counter, "counted")).reshape(32, -1, 3)
     contacts, beads, parts = scene(comm.size)
