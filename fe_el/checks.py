@@ -1,4 +1,5 @@
 """Checks of what users give: each returns the argument in its final form, or raises a sentence that says what is allowed."""
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -145,6 +146,19 @@ def of_kind(name: str, value: Any, *kinds: type) -> Any:
         raise ValueError(f"The {name} is {_short(value)}; pass an object of {wanted}"
                          f"{', with its arguments in brackets' if isinstance(value, type) else ''}.")
     return value
+
+
+def require_particles(particles: Any) -> None:
+    """Raise ``ValueError`` unless this is an object of Particles."""
+    if not hasattr(particles, "relaxation_rate") or isinstance(particles, type):
+        raise ValueError(f"The particles are {_short(particles)}; pass an object of Particles.")
+
+
+def file_name(name: str, value: Any) -> Path:
+    """The name of a file, as a Path."""
+    if not isinstance(value, (str, Path)):
+        raise ValueError(f"The {name} is {_short(value)}; give its name, a text or a Path.")
+    return Path(value)
 
 
 def require_mesh(mesh: Any) -> None:

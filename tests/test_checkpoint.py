@@ -328,3 +328,15 @@ def test_a_users_class_keeps_itself(folder):
     fe_el.save_checkpoint(folder + "/a.h5", beads, one)
     fe_el.load_checkpoint(folder + "/a.h5", beads, other)
     assert other.count == 7
+
+
+def test_contacts_of_other_walls_are_refused(tmp_path):
+    """In a sentence, and what they were given before stays."""
+    mesh, tags = fe_el.box((0.01,) * 3, (2, 2, 2))
+    beads = fe_el.Particles(mesh, 2500.0)
+    beads.insert_at([(0.005,) * 3], 1e-3)
+    floor, side = fe_el.FacetWalls(tags, 5), fe_el.FacetWalls(tags, 1)
+    law = fe_el.LinearSpringDashpot(100.0, 0.5, 0.3)
+    fe_el.save_checkpoint(tmp_path / "a.h5", fe_el.Contacts(beads, law, [floor, side]))
+    with pytest.raises(ValueError, match="have 1 walls, those of the checkpoint had 2"):
+        fe_el.load_checkpoint(tmp_path / "a.h5", fe_el.Contacts(beads, law, [floor]))

@@ -12,7 +12,7 @@ from fe_el.coupling import particle_loops as loops
 from fe_el.coupling.added_mass import AddedMass
 from fe_el.coupling.drag_exchange import DragExchange
 from fe_el.coupling.fields import CellMean, PressureGradientMean
-from fe_el.coupling.fitting import check_functions, fitting
+from fe_el.coupling.fitting import check_functions, check_list, fitting
 from fe_el.coupling.fluid_at_particles import METHODS, AskedOfFluid, check_force
 from fe_el.coupling.forces import Buoyancy, Drag, PressureGradient
 from fe_el.coupling.ledger import Ledger
@@ -100,8 +100,7 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
                  forces: Sequence[Any], scheme: str = "conservative", mapping: str | Any = "overlap_volume",
                  smoothing: Callable[[np.ndarray], np.ndarray] | None = None, fluid_velocity: str = "cell",
                  largest_solid_fraction: float = 0.74, positions: str | None = None, mean_velocity: Any = None) -> None:
-        if not hasattr(particles, "relaxation_rate") or isinstance(particles, type):
-            raise ValueError(f"The particles are {particles!r}; pass an object of Particles.")
+        check_list(particles, forces)
         check_functions(particles.mesh, velocity, pressure, mean_velocity)
         fluid_density = positive_number("fluid density", fluid_density)
         fluid_viscosity = positive_number("fluid viscosity", fluid_viscosity)
@@ -111,8 +110,6 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
             raise ValueError(f"fluid_velocity is {fluid_velocity!r}; use 'cell' or 'linear'.")
         if positions not in (None, "start", "middle"):
             raise ValueError(f"positions is {positions!r}; use 'start' or 'middle', or leave it out.")
-        if not isinstance(forces, (list, tuple)):
-            raise ValueError(f"The forces are {forces!r}; give a list, for instance [Drag('beetstra'), PressureGradient()].")
         built_in = Drag, PressureGradient, Buoyancy, AddedMass, UndisturbedVelocity
         twice = [kind.__name__ for kind in built_in if sum(isinstance(f, kind) for f in forces) > 1]
         if twice:
@@ -201,6 +198,7 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
             kwargs = {"mean_velocity": fluid.mean_velocity, **kwargs}
         pressure, one_step = flow.pressure if flow is fluid else fluid.mean_pressure, kwargs.get("mean_velocity") is None
         plain = one_step and kwargs.get("scheme", "conservative") == "conservative"
+        check_list(particles, forces)
         forces = fitting(flow, particles, forces, plain and getattr(flow, "takes_pressure_share", False))
         return cls(particles, flow.velocity, pressure, flow.density, flow.viscosity, forces, **kwargs)
 

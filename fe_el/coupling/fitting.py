@@ -1,7 +1,7 @@
 """Whether fluid, particles, forces and the step of a coupling fit each other."""
 import numpy as np
 
-from fe_el.checks import same_mesh
+from fe_el.checks import require_particles, same_mesh
 from fe_el.coupling.added_mass import AddedMass
 from fe_el.coupling.forces import Buoyancy, Drag, PressureGradient, ViscousStress
 from fe_el.coupling.light_particles import lightest_of
@@ -43,6 +43,13 @@ def fitting(flow, particles, forces, takes_shares=False):
             force = PressureGradient(mean, at_end if force.at_end is None else force.at_end)
         out.append(force)
     return out
+
+
+def check_list(particles, forces):
+    """Refuse what are no particles, or no list of forces."""
+    require_particles(particles)
+    if not isinstance(forces, (list, tuple)):
+        raise ValueError(f"The forces are {forces!r}; give a list, for instance [Drag('beetstra'), PressureGradient()].")
 
 
 def check_functions(mesh, velocity, pressure, mean_velocity):

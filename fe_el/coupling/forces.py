@@ -48,7 +48,7 @@ class Drag:
             if law not in drag_laws.LAWS:
                 raise ValueError(f"There is no drag law {law!r}; use one of {sorted(drag_laws.LAWS)} or pass a function.")
             law = drag_laws.LAWS[law]
-        if not callable(law) or len(inspect.signature(law).parameters) < 2:
+        if not callable(law) or isinstance(law, type) or len(inspect.signature(law).parameters) < 2:
             raise ValueError(f"The drag law is {law!r}; pass a function law(solid_fraction, reynolds) that returns F.")
         self.law, self.polydisperse, self.relaxing = law, bool(polydisperse), bool(relaxing)
 

@@ -155,6 +155,6 @@ def scheme_of(name: str) -> Conservative | Explicit:
     Raises:
         ValueError: for an unknown name.
     """
-    if name not in SCHEMES:
+    if not isinstance(name, str) or name not in SCHEMES:
         raise ValueError(f"There is no coupling scheme {name!r}; use one of {sorted(SCHEMES)}.")
     return SCHEMES[name]()

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 def _planes(walls):
     """Points and unit normals, into the fluid, of a list of walls."""
     out = []
+    if not isinstance(walls, (list, tuple)) or any(not isinstance(w, (list, tuple)) or len(w) != 2 for w in walls):
+        raise ValueError(f"The walls of a profile are {walls!r}; give a list of them, walls=[(point, normal)].")
     for point, normal in walls:
         point, normal = finite_vector("point of a wall", point), finite_vector("normal of a wall", normal)
         if not np.linalg.norm(normal) > 0:
@@ -169,6 +171,8 @@ class SyntheticEddies:
     def __init__(self, fluid: "VolumeAveragedNavierStokes", group: int | str,
                  mean: ArrayLike | Callable[[float, np.ndarray], ArrayLike], intensity: ArrayLike = 0.05,
                  length: float | None = None, seed: int = 0) -> None:
+        if not hasattr(fluid, "boundary") or isinstance(fluid, type):
+            raise ValueError(f"The fluid of the eddies is {fluid!r}; pass an object of VolumeAveragedNavierStokes.")
         self.fluid, self.mean, self.seed, d = fluid, mean, whole_number("seed", seed, 0), fluid.dimension
         self.length, self.intensity = positive_number("length of the eddies", length), numbers("intensity", intensity)
         if self.intensity.shape not in ((), (d,)) or not (self.intensity >= 0).all():

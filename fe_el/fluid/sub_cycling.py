@@ -8,6 +8,7 @@ from dolfinx import fem
 
 from fe_el.checks import of_kind, positive_number, whole_number
 from fe_el.dolfinx_api import scalar_space
+from fe_el.fluid.boundary_values import check_fields
 from fe_el.fluid.cells_and_nodes import CellsAndNodes
 
 if TYPE_CHECKING:
@@ -68,8 +69,9 @@ class SubCycled:
         Note:
             Collective.
         """
-        air, count = self.fluid, self.steps or self._number(dt)
-        n, phi = air.num_cells, self._void_fraction
+        dt, air = positive_number("time step", dt), self.fluid
+        n, phi, count = air.num_cells, self._void_fraction, self.steps or self._number(dt)
+        check_fields(fields, n, air.dimension)
         new = fields[0].x.array[:n].copy()
         old = new if air.void_fraction is None else air.void_fraction.copy()  # the fluid uses its arrays again
         velocity, pressure = np.zeros_like(air.velocity.x.array), np.zeros_like(air.pressure.x.array)

@@ -7,7 +7,15 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import ArrayLike
 
-from fe_el.checks import components, function_or_class_of, not_negative_number, positive_number, require_mesh, require_tags
+from fe_el.checks import (
+    components,
+    function_or_class_of,
+    not_negative_number,
+    numbers,
+    positive_number,
+    require_mesh,
+    require_tags,
+)
 from fe_el.dolfinx_api import vector_space
 from fe_el.fluid import cell_kernels
 from fe_el.fluid.boundary_values import check_fields, velocity_at
@@ -181,12 +189,20 @@ class VolumeAveragedNavierStokes(Transport, Projection, Ledger, SavedFluid):
         return StepState(
             numbers=Step(dt, float(self.density), self.viscosity / self.density, self.upwind), single_phase=fields is None,
             before=phi0, after=phi, rate=rate, last_rate=state.rate, drag=drag, source=source,
-            share=phi if pressure_share is None else pressure_share,
+            share=phi if pressure_share is None else self._share(pressure_share),
             handed=others[0] if others else None,
             answer=SolidsAnswer(*others[1:])
             if len(others) > 1 and self.step else None,  # the first step knows no pressure before it
             velocity=q, masses=masses, damping=damping, moves=moves,
             memory=Memory(state.gain, state.nodal_gain, state.fades, work.empty("left", n), work.empty("lag", n)))
+
+    def _share(self, given):
+        """The share of the pressure gradient, checked."""
+        share = numbers("pressure share", given)
+        if share.shape != (self.num_cells,) or not np.isfinite(share).all():
+            raise ValueError(f"The pressure share has shape {share.shape}; give one finite number for each of the "
+                             f"{self.num_cells} cells of this rank.")
+        return share
 
     def _given(self, fields):
         """Void fraction, drag and source of this rank's cells, and what else the fields hold."""

@@ -6,7 +6,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fe_el.checks import finite_vector, numbers, of_kind, positive_number, require_positive
+from fe_el.checks import (
+    finite_vector,
+    number_or_function,
+    numbers,
+    of_kind,
+    positive_number,
+    require_positive,
+    seed_number,
+)
 from fe_el.particles.size_distribution import SizeDistribution
 from fe_el.particles.sources import DiscSource, FacetSource, PointSource
 
@@ -60,18 +68,19 @@ class Injector:
         self.particles = of_kind("particles", particles, Particles)
         self.source = of_kind("source", source, FacetSource, DiscSource, PointSource)
         source.prepare(particles)
-        self.velocity = velocity if callable(velocity) else finite_vector("velocity", velocity)
+        function = callable(velocity) and not isinstance(velocity, type)
+        self.velocity = velocity if function else finite_vector("velocity", velocity)
         self.sizes = diameter if isinstance(diameter, SizeDistribution) else SizeDistribution.listed(diameter)
         given = [rate for rate in (mass_rate, number_rate, loading) if rate is not None]
         if len(given) != 1:
             raise ValueError(f"An injector has {len(given)} rates; give one of mass_rate=, number_rate= and loading=.")
         if (loading is None) != (fluid is None):
             raise ValueError("A loading= needs fluid=(density, velocity), and nothing else does.")
-        self.rate, self.by_number = given[0], number_rate is not None
+        self.rate, self.by_number = number_or_function("rate of an injector", given[0]), number_rate is not None
         self.fluid = None if fluid is None else (positive_number("density of the fluid", fluid[0]), fluid[1])
         self._take_kind(**kind)
         self.drawn_from = self.sizes.of_parcels(self._numbers)
-        self.generators = [np.random.default_rng((seed, k)) for k in range(2)]  # of sizes, of places
+        self.generators = [np.random.default_rng((seed_number(seed), k)) for k in range(2)]  # of sizes, of places
         self.time, self.waiting, self.parcels, self.number, self.mass = 0.0, 0.0, 0, 0.0, 0.0
         self.ahead = np.zeros((0, 2))  # diameters and numbers drawn for the next parcels
         self.over = None if isinstance(source, PointSource) else source.quadrature()

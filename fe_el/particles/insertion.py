@@ -117,6 +117,12 @@ def displacements(count, dimension, largest, seed):
     return np.random.default_rng(seed).uniform(-1, 1, (count, dimension)) * largest
 
 
+def check_walls(walls):
+    """Raise ``ValueError`` unless this is a list of walls."""
+    if not isinstance(walls, (list, tuple)) or any(isinstance(w, type) or not hasattr(w, "motion") for w in walls):
+        raise ValueError(f"The walls to stay off are {walls!r}; give a list of walls, for instance contacts.walls.")
+
+
 def shapes_of(walls):
     """Kind, shape and origin of the planes and cylinders among some walls, as arrays."""
     chosen = [w for w in walls if hasattr(w, "moved") and not hasattr(w, "corners")]

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fe_el.checks import of_kind, positive_number, require_tags, whole_number
+from fe_el.checks import finite_number, of_kind, positive_number, require_tags, whole_number
 from fe_el.nodes.nodal_space import NodalSpace
 from fe_el.nodes.work_arrays import WorkArrays
 from fe_el.parallel.exchange import Halo, largest_of, sums_of
@@ -105,7 +105,7 @@ class MultiphasePIC:
         """Check what may have changed, and find the walls of facets and nodes anew where walls or cells did. Collective."""
         for name in ("restitution", "wall_restitution", "tangential_restitution"):
             value = getattr(self, name)
-            if not 0 <= value <= 1:
+            if not 0 <= finite_number(name.replace("_", " "), value) <= 1:
                 raise ValueError(f"The {name.replace('_', ' ')} is {value}; it must be from 0 to 1.")
         p = self.particles
         for wall in self.walls:
@@ -126,7 +126,7 @@ class MultiphasePIC:
 
     def advance(self, dt: float) -> None:
         """Advance the particles by ``dt`` [s]; ``FloatingPointError`` where they are too fast for 1000 parts."""
-        p, tick = self.particles, time.perf_counter()
+        p, tick, dt = self.particles, time.perf_counter(), positive_number("time step", dt)
         if not p.total_number or p.all_held():
             return
         self._take_up()

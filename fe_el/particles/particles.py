@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fe_el.checks import finite_vector, numbers, positive_number, require_mesh, require_positive, require_tags
+from fe_el.checks import finite_vector, numbers, positive_number, require_mesh, require_positive, require_tags, seed_number
 from fe_el.parallel.failures import end_all_ranks_on_errors
 from fe_el.particles import insertion, motion, rows
 from fe_el.particles.array_checks import check_arrays, check_velocities
@@ -120,6 +120,7 @@ class Particles(SavedParticles, Held, Balanced):
         """
         lower, upper = insertion.check_box(self, lower, upper)
         require_positive("diameter", diameter)
+        insertion.check_walls(walls)
         there = near = None
         if without_overlap:
             radius = 0.5 * numbers("diameter", diameter).max()
@@ -144,6 +145,7 @@ class Particles(SavedParticles, Held, Balanced):
         """
         lower, upper = insertion.check_box(self, lower, upper)
         require_positive("diameter", diameter)
+        seed = seed_number(seed)
         diameter = np.random.default_rng(seed).permutation(np.atleast_1d(np.asarray(diameter, float)))
         self.insert_at(insertion.lattice_positions(lower, upper, diameter, seed), diameter, density, velocity, **kind)
 

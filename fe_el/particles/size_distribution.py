@@ -74,7 +74,7 @@ class SizeDistribution:
         """Normal by number, with mean and standard deviation [m] before it is cut at ``smallest`` and ``largest`` [m];
         absent: at three deviations, but not below a hundredth of the mean."""
         mean, deviation = positive_number("mean diameter", mean), positive_number("deviation of the diameter", deviation)
-        edges = _edges(smallest or max(mean - 3 * deviation, 0.01 * mean), largest or mean + 3 * deviation)
+        edges = _edges(_or(smallest, max(mean - 3 * deviation, 0.01 * mean)), _or(largest, mean + 3 * deviation))
         return cls._of_curve(edges, _normal((edges - mean) / deviation), "number")
 
     @classmethod
@@ -85,7 +85,7 @@ class SizeDistribution:
         median, spread = positive_number("median diameter", median), positive_number("spread of the diameter", spread)
         if not spread > 1:
             raise ValueError(f"The geometric standard deviation of the diameter is {spread}; it must be greater than 1.")
-        edges = _edges(smallest or median / spread ** 4, largest or median * spread ** 4, True)
+        edges = _edges(_or(smallest, median / spread ** 4), _or(largest, median * spread ** 4), True)
         return cls._of_curve(edges, _normal(np.log(edges / median) / math.log(spread)), by)
 
     @classmethod
@@ -95,7 +95,7 @@ class SizeDistribution:
         :meth:`normal`, absent: where 0.1 % of the mass are finer or coarser."""
         size, exponent = positive_number("size", size), positive_number("exponent", exponent)
         ends = size * (-np.log([0.999, 0.001])) ** (1 / exponent)
-        edges = _edges(smallest or ends[0], largest or ends[1], True)
+        edges = _edges(_or(smallest, ends[0]), _or(largest, ends[1]), True)
         return cls._of_curve(edges, -np.expm1(-(edges / size) ** exponent), "mass")
 
     @classmethod
@@ -133,6 +133,10 @@ class SizeDistribution:
 
     def __call__(self, generator: np.random.Generator, count: int) -> np.ndarray:
         return self.draw(generator, count)
+
+
+def _or(given, absent):
+    return absent if given is None else given
 
 
 def _edges(smallest, largest, by_ratio=False):

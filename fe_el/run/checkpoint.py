@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from fe_el.checks import file_name
 from fe_el.dolfinx_api import import_h5py
 from fe_el.mesh.places import nearest
 from fe_el.parallel.exchange import raise_everywhere
@@ -45,7 +46,7 @@ def save_checkpoint(path: str | Path, *parts: Any, **numbers: Any) -> None:
     Note:
         Collective.
     """
-    comm, groups = comm_of(parts), {}
+    path, comm, groups = file_name("path of a checkpoint", path), comm_of(parts), {}
     for k, part in enumerate(parts):
         for block, (points, arrays) in _part(part).saved().items():
             name = f"{k}_{type(part).__name__}/{block}"
@@ -59,7 +60,7 @@ def save_checkpoint(path: str | Path, *parts: Any, **numbers: Any) -> None:
     message = None
     if comm.rank == 0:
         try:
-            _write(Path(path), groups, numbers)
+            _write(path, groups, numbers)
         except (OSError, TypeError, ValueError) as error:  # HDF5 takes neither dictionaries nor objects
             message = f"The checkpoint {path} cannot be written: {error}."
     raise_everywhere(comm, OSError, message)
@@ -152,13 +153,13 @@ def places_in(path: str | Path, comm: Any) -> np.ndarray:
 
 def _read_everywhere(path, comm):
     """What a file holds, on every rank, or the error that says why not. Collective."""
-    data, message = None, None
+    data, message, path = None, None, file_name("path of a checkpoint", path)
     if comm.rank == 0:
         try:
-            data, message = _read(Path(path))
+            data, message = _read(path)
         except OSError as error:
             message = f"The checkpoint {path} cannot be read: {error}."
-    missing = comm.bcast(comm.rank == 0 and not Path(path).is_file())
+    missing = comm.bcast(comm.rank == 0 and not path.is_file())
     raise_everywhere(comm, FileNotFoundError if missing else ValueError, message)
     return comm.bcast(data)
 

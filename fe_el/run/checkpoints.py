@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from fe_el.checks import positive_number
+from fe_el.checks import file_name, finite_number, positive_number
 from fe_el.run.checkpoint import comm_of, load_checkpoint, save_checkpoint
 from fe_el.run.stopping import StopAndSave
 
@@ -40,7 +40,7 @@ class Checkpoints:
 
     def __init__(self, path: str | Path, *parts: Any, every: float | None = None, restart: bool | str | Path | None = None,
                  wall_time: float | None = None) -> None:
-        self.path, self.parts, self.comm, self.time = Path(path), parts, comm_of(parts), 0.0
+        self.path, self.parts, self.comm, self.time = file_name("path of the checkpoints", path), parts, comm_of(parts), 0.0
         self.every = None if every is None else positive_number("time between checkpoints (every)", every)
         origin = self._origin(restart)
         if origin is not None:
@@ -57,7 +57,7 @@ class Checkpoints:
         if restart is None or restart is False:
             return None
         if restart is not True:
-            return Path(restart)
+            return file_name("checkpoint to go on from (restart)", restart)
         there = self.comm.bcast(self.path.is_file() if self.comm.rank == 0 else None)
         if not there and self.comm.rank == 0:
             print(f"There is no checkpoint {self.path} yet: the run begins.", file=sys.stderr)
@@ -72,7 +72,7 @@ class Checkpoints:
 
     def after(self, time: float) -> None:
         """Write the state if it is time to, and end the run if it was told to stop; at the end of every step. Collective."""
-        self.time = time
+        self.time = finite_number("time", time)
         if self.every is not None and self._number(time) > self._number(self._saved):
             self.save()
         self._stop.check()

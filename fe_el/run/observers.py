@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fe_el import checks
-from fe_el.checks import function_of_mesh, positive_number, same_mesh
+from fe_el.checks import finite_number, function_of_mesh, positive_number, same_mesh
 from fe_el.dolfinx_api import dof_table, element_of
 from fe_el.mesh.cell_mesh import barycentric_maps, owned_corners
 
@@ -91,7 +91,7 @@ class Probe:
 
     def record(self, time: float) -> None:
         """Keep the values at ``time``."""
-        self.rows.append((time, *self.values()))
+        self.rows.append((finite_number("time", time), *self.values()))
 
 
 class TimeAverage:

@@ -6,7 +6,14 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import ArrayLike
 
-from fe_el.checks import finite_vector, numbers, positive_number, whole_number
+from fe_el.checks import (
+    finite_vector,
+    function_or_class_of,
+    numbers,
+    positive_number,
+    require_particles,
+    whole_number,
+)
 from fe_el.coupling.mapping import mapping_of
 from fe_el.dolfinx_api import scalar_space, vector_space
 from fe_el.parallel.exchange import sums_of
@@ -31,6 +38,9 @@ class ParticleFieldAverage:
 
     def __init__(self, particles: "Particles", mapping: str | Any = "overlap_volume",
                  smoothing: Callable[[np.ndarray], np.ndarray] | None = None) -> None:
+        require_particles(particles)
+        if smoothing is not None:
+            function_or_class_of("smoothing", smoothing, "for instance HelmholtzSmoothing(mesh, length), or leave it out")
         self.particles, self.mapping, self.smoothing = particles, mapping_of(mapping), smoothing
         self.duration, self.mesh, d = 0.0, particles.mesh, particles.mesh.topology.dim
         # of solid fraction, concentration, flux, and mass times squared velocity per volume
@@ -138,7 +148,9 @@ class ParticleProfile:
 
     def __init__(self, particles: "Particles", edges: ArrayLike, quantity: "Callable[[Particles], ArrayLike]",
                  along: int = 0) -> None:
-        self.particles, self.mesh, self.quantity = particles, particles.mesh, quantity
+        require_particles(particles)
+        self.particles, self.mesh = particles, particles.mesh
+        self.quantity = function_or_class_of("quantity", quantity, "a function, for instance lambda p: p.position[:, 1]")
         self.edges, self.along, self.duration = numbers("edges of the slabs", edges), whole_number("axis", along, 0), 0.0
         if self.edges.ndim != 1 or len(self.edges) < 2 or not (np.diff(self.edges) > 0).all():
             raise ValueError(f"The edges of the slabs are {self.edges.tolist()}; give two or more rising numbers [m].")
@@ -203,6 +215,7 @@ class PlaneFlux:
     """
 
     def __init__(self, particles: "Particles", point: ArrayLike, normal: ArrayLike) -> None:
+        require_particles(particles)
         self.particles, self.mesh = particles, particles.mesh
         self.point, self.normal = finite_vector("point of a plane", point), finite_vector("normal of a plane", normal)
         if not np.linalg.norm(self.normal) > 0:

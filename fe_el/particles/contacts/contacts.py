@@ -145,11 +145,11 @@ class Contacts(SavedContacts, ContactChecks):
 
     def advance(self, dt: float) -> None:
         """Advance the particles by ``dt`` [s] in velocity Verlet sub-steps."""
-        p, tick, renewing = self.particles, time.perf_counter(), self.seconds["neighbours"]
+        p, tick, dt = self.particles, time.perf_counter(), positive_number("time step", dt)
         self._check_parts()
         for wall in self.walls:
             wall.follow(self.time + 0.5 * dt)
-        self.time += dt
+        self.time, renewing = self.time + dt, self.seconds["neighbours"]
         if not p.total_number:
             self.steps_last = 0
             self.lists.move_alone(dt)

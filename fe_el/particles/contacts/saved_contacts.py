@@ -88,6 +88,9 @@ class SavedContacts:
     particles: "Particles"
     lists: "ContactLists"
     layout: int | None  #: of the particles, when the lists were made
+    step: int
+    time: float
+    largest_overlap: float
 
     def saved(self) -> dict[str, tuple]:
         """Springs of the live contacts, by the particles' numbers and the places of the facets; moving walls."""
@@ -109,7 +112,10 @@ class SavedContacts:
 
     def restore(self, state: dict[str, dict]) -> None:
         """Springs for the particles of this rank, given to the lists when these are made next; load the particles first."""
-        p, same = self.particles, state["same"]
+        p, same, walls = self.particles, state["same"], self.lists.walls
+        if same["shape"].shape != self.lists.shape.shape:
+            raise ValueError(f"The contacts have {len(walls)} walls, those of the checkpoint had {len(same['turned'])}; "
+                             "give Contacts the walls that they had when it was saved, and change contacts.walls then.")
         self.lists.restore(state)
         self.step, self.time = int(same["step"]), float(same["time"])
         self.largest_overlap = float(same["largest_overlap"])
