@@ -121,8 +121,9 @@ def test_large_steps_are_more_accurate():
         assert stable and drift < 1e-10
         return np.sqrt(np.mean((history[1:, 1] / exact[1:] - 1) ** 2))
     plain = error("conservative")
+    assert plain < 0.04
     for scheme in ("sub_cycled", "by_courant"):
-        assert error(scheme) < min(0.4 * plain, 0.03)
+        assert error(scheme) < min(0.5 * plain, 0.0159)
 
 
 def test_fixed_fields_give_what_the_fluid_does_alone():
