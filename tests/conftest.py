@@ -10,6 +10,11 @@ import numpy as np
 import pytest
 
 
+def pytest_pycollect_makemodule():
+    """MPI before the first test file, whichever that is: the wheels of dolfinx find theirs through mpi4py."""
+    from mpi4py import MPI  # noqa: F401
+
+
 def pytest_runtest_logreport(report):
     """Under mpirun a failing rank ends all: the others would wait for it for ever."""
     if "mpi4py.MPI" not in sys.modules:  # the process that hands tests to others
