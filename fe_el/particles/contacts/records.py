@@ -65,7 +65,7 @@ class Facets(NamedTuple):
     vertex: np.ndarray  #: (facets, d) numbers that facets share where they meet
     wall: np.ndarray  #: (facets,) number of the wall
     frame: np.ndarray  #: (facets, 12) first corner, dual edge vectors, unit normal
-    patch: np.ndarray  #: (facets, 2) smooth patch, and whether it is curved
+    patch: np.ndarray  #: (facets, 3) smooth patch, whether it is curved, and flat piece
 
 
 class FacetScratch(NamedTuple):

@@ -19,21 +19,23 @@ from scipy.sparse.csgraph import connected_components
 from fe_el.compiled.parts import part
 
 SMOOTH = np.radians(40)
+FLAT = 1e-6  # facets that meet at less lie in one plane [rad]
 ONE, TWO = np.cos(np.radians(45)), np.cos(np.radians(75))  # normals at less belong to one contact, at more to two
 SHARPEST = 128  # largest exponent: the stiffness in a pipe of many sides is 0.8 % below that of one contact
 
 
 def smooth_patches(corner, vertex):
-    """Patch of each facet, and whether it is curved: (facets, 2); and how many patches meet at a vertex at most."""
+    """Patch of each facet, whether it is curved, and flat piece: (facets, 3); and how many patches meet at a vertex at most.
+    """
     one, two, angle = _ridges(corner, vertex)
-    joined = angle < SMOOTH
-    graph = coo_matrix((np.ones(joined.sum()), (one[joined], two[joined])), shape=(len(corner), len(corner)))
-    count, patch = connected_components(graph, directed=False)
+    joined, n = angle < SMOOTH, len(corner)
+    (count, patch), (_, flat) = (connected_components(coo_matrix((np.ones(k.sum()), (one[k], two[k])), shape=(n, n)),
+                                                      directed=False) for k in (joined, angle <= FLAT))
     curved = np.zeros(count, bool)
-    curved[patch[one[joined & (angle > 1e-6)]]] = True
+    curved[patch[one[joined & (angle > FLAT)]]] = True
     meeting = np.unique(np.column_stack([vertex.ravel(), np.repeat(patch, vertex.shape[1])]), axis=0)[:, 0]
     most = int(np.unique(meeting, return_counts=True)[1].max(initial=1))
-    return np.column_stack([patch, curved[patch]]).astype(np.int64), most
+    return np.column_stack([patch, curved[patch], flat]).astype(np.int64), most
 
 
 def _ridges(corner, vertex):

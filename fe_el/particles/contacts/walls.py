@@ -137,9 +137,11 @@ def facet_forces(rows, listed, near_facets, walls, block, numbers, step, h):
             entry += 1
         contact[0], joined = True, False
         if near > 1:
+            first, flat = facet[slot[0]], True
             for n in range(near):
                 joined |= patch[facet[slot[n]], 1] > 0
-            _contacts_of(near, scratch, facet, facets.vertex, 1e-6 * r)
+                flat &= patch[facet[slot[n]], 2] == patch[first, 2]
+            joined &= _contacts_of(near, scratch, facet, facets.vertex, 1e-6 * r) > 1 or not flat  # else nothing to join
             if joined:
                 join_contacts(near, scratch, facet, facets, x[i], r, numbers.kind == 1)
             _hand_over(near, slot, arm, contact, spring, stamp, step)
@@ -173,8 +175,9 @@ def _hand_over(near, slot, arm, contact, spring, stamp, step):
 
 @part
 def _contacts_of(near, scratch, facet, vertex, tolerance):
-    """Set which nearest points are local minima of the distance to the surface, and the first of their kind."""
-    arm, weight, slot, contact = scratch.arm, scratch.weight, scratch.slot, scratch.contact
+    """Set which nearest points are local minima of the distance to the surface, and the first of their kind; returns how
+    many."""
+    arm, weight, slot, contact, number = scratch.arm, scratch.weight, scratch.slot, scratch.contact, 0
     for m in range(near):
         contact[m] = True
         for o in range(near):
@@ -185,3 +188,5 @@ def _contacts_of(near, scratch, facet, vertex, tolerance):
                 contact[m] &= o > m
             elif contact[m]:
                 contact[m] = not holds_feature(facet[slot[o]], facet[slot[m]], vertex, weight[m])
+        number += contact[m]
+    return number
