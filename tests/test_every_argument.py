@@ -151,3 +151,13 @@ def test_what_an_argument_can_never_be_is_refused_in_a_sentence(name, argument):
             result = call(**{**valid, argument: value})
             list(result) if inspect.isgenerator(result) else None
         assert str(error.value).endswith(".") and len(str(error.value)) > 40, (value, str(error.value))
+
+
+@pytest.mark.parametrize("name,argument", [
+    ("ramp", "value"), ("LinearSpringDashpot", "cohesion"), ("RollingFriction", "coefficient"), ("Inlet", "diameter"),
+    ("Particles.insert_on_lattice", "diameter"), ("Particles.insert_at", "diameter"), ("HertzMindlin", "friction")])
+def test_nothing_is_no_number(name, argument):
+    call, valid = calls()[name]
+    with pytest.raises(ValueError, match=r"\.$") as error:
+        call(**{**valid, argument: []})
+    assert argument.split("_")[-1] in str(error.value) or "rolling friction" in str(error.value) or name == "ramp"

@@ -45,6 +45,7 @@ def arguments():
     p.add_argument("--repeats", type=int, default=3, help="runs of each, one after the other; the least counts (3)")
     p.add_argument("--slice", type=float, default=1.0, help="fraction of the bed's width, and of the silo's beads (1)")
     p.add_argument("--settle-time", type=float, default=0.3, help="time in which bed and silo settle first [s] (0.3)")
+    p.add_argument("--busy", action="store_true", help="for a machine that does other work: ranks that wait give way")
     p.add_argument("--without-pair", action="store_true", help="no two runs of one rank at once")
     p.add_argument("--output", default="out/strong_scaling", help="folder for results (out/strong_scaling)")
     p.add_argument("--run", nargs=3, metavar=("SCENE", "CHECKPOINT", "LIBRARY"),
@@ -170,14 +171,15 @@ def settle(name, folder, fraction, settle_time):
     return path
 
 
-def start(options, ranks):
+def start(options, ranks, busy=False):
     """A run on some ranks."""
+    own = OWN | {"OMPI_MCA_mpi_yield_when_idle": "1"} if busy else OWN
     launch = [] if ranks == 1 else ["mpirun", "-n", str(ranks)]
     module = [] if ranks == 1 else ["-m", "mpi4py"]
     command = [*launch, "env", f"LD_PRELOAD={options[options.index('--run') + 3]}", sys.executable, "-W", "ignore", *module,
                __file__, *options]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, stdin=subprocess.DEVNULL,
-                            env=environment_outside_mpirun() | OWN)
+                            env=environment_outside_mpirun() | own)
 
 
 def results(*runs):
@@ -225,7 +227,7 @@ HEAD = ("stage", "wall_ms_1", "wall_ms", "speed_up", "processor_ms_1", "processo
 
 
 def main(scenes=tuple(SCENES), ranks=2, steps=20, repeats=3, slice=1.0, settle_time=0.3, without_pair=False,
-         output="out/strong_scaling", progress=True):
+         output="out/strong_scaling", busy=False, progress=True):
     """Time all scenes and return the summary; on one rank."""
     logging.getLogger().setLevel(logging.WARNING)
     folder, numbers, rows = Path(output).resolve(), {}, []
@@ -239,7 +241,7 @@ def main(scenes=tuple(SCENES), ranks=2, steps=20, repeats=3, slice=1.0, settle_t
         one, many, pair = [], [], []
         for _ in range(repeats):
             one += results(start(options, 1))
-            many += results(start(options, ranks))
+            many += results(start(options, ranks, busy))
             if not without_pair:
                 at_once = results(*[start(options, 1) for _ in range(ranks)])
                 pair.append({"seconds": [r["seconds"][0] for r in at_once]})

@@ -273,6 +273,7 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
         if positive_number("time step", dt) != self._dt:
             raise ValueError(f"The time step of to_particles is {dt}, that of to_fluid before was {self._dt}; call "
                              "to_fluid(dt) first, with the same step.")
+        self._check_mapped()
         tick = self._begin()
         p, d, n = self.particles, self.dimension, self.particles.cells.owned
         phi, a, b = self.values[0][:n], self.values[1][:n], self.values[2].reshape(-1, d)[:n]

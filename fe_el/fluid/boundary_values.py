@@ -51,8 +51,10 @@ def ramp(value: ArrayLike | Callable[[float, np.ndarray], ArrayLike],
         ValueError: for a duration that is not positive.
     """
     duration = positive_number("duration of the ramp", duration)
-    if (not callable(value) or isinstance(value, type)) and not np.isfinite(numbers("velocity to ramp up to", value)).all():
-        raise ValueError(f"The velocity to ramp up to is {value!r}; give finite numbers [m/s].")
+    if not callable(value) or isinstance(value, type):
+        speed = numbers("velocity to ramp up to", value)
+        if not speed.size or not np.isfinite(speed).all():
+            raise ValueError(f"The velocity to ramp up to is {value!r}; give finite numbers [m/s].")
 
     def rising(time, position):
         s = min(max(time / duration, 0.0), 1.0)

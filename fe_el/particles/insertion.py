@@ -235,6 +235,8 @@ def lattice_positions(lower, upper, diameter, seed):
     """A square lattice filled from below (last coordinate), a little disturbed, spheres of any size apart."""
     lower, upper = np.asarray(lower, float), np.asarray(upper, float)
     require_positive("diameter", diameter)
+    if not len(diameter):
+        raise ValueError("The diameter of particles on a lattice is empty; give one for each particle.")
     largest = diameter.max()
     number = np.maximum(((upper - lower) / largest * (1 + 1e-9)).astype(int), 0)
     if number.prod() < len(diameter):

@@ -1,5 +1,6 @@
 """Boundaries that particles may leave through, rebound from, or come in through at a mass rate."""
 import json
+import warnings
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -157,7 +158,7 @@ class Inlet:
         mass_rate (float): [kg/s].
         diameter: one number, an array to draw from, or a function ``(generator, count) -> diameters`` [m].
         velocity: of what comes in [m/s].
-        density, material, coarse_graining, number: as in ``Particles.insert_at``.
+        density, material, coarse_graining: as in ``Particles.insert_at``.
         seed (int): of the places and sizes.
 
     Attributes:
@@ -179,6 +180,8 @@ class Inlet:
         mass_rate = positive_number("mass rate", mass_rate)
         if not callable(diameter) or isinstance(diameter, type):
             require_positive("diameter", diameter)
+            if not np.size(diameter):
+                raise ValueError("The diameter of an inlet is empty; give a number, several to draw from, or a function.")
         tries, seed = whole_number("number of tries", tries, 1), seed_number(seed)
         for name in kind:
             if name not in ("material", "coarse_graining"):
@@ -196,6 +199,7 @@ class Inlet:
         self.generator = np.random.default_rng(seed)
         self.inserted, self.waiting = 0, 0.0
         self.next: float | None = None  # diameter of the one that waits [m]
+        self._said = False
 
     def _draw_diameter(self) -> float:
         if callable(self.diameter):
@@ -216,6 +220,7 @@ class Inlet:
             mass = self.density * np.pi / 6 * size ** 3
             place = self._free_place(near, radii, size / 2, dt) if mass <= self.waiting else None
             if place is None:
+                self._say_too_large(size, not len(near) and mass <= self.waiting)
                 break
             new.append(place)
             sizes.append(size)
@@ -226,6 +231,14 @@ class Inlet:
             self.particles.insert_at(np.array(new), np.array(sizes), self.density, self.velocity, **self.kind)
             self.inserted += len(new)
         return len(new)
+
+    def _say_too_large(self, size, alone):
+        """Warn once of a particle that finds no place although there is none near."""
+        if alone and not self._said:
+            self._said = True
+            warnings.warn(f"A particle of diameter {size:g} m found no place at the inlet in {self.tries} tries, though no "
+                          "other is near: it waits, as it may be too large for the opening. Make the particles smaller, the "
+                          "boundary group larger, or tries= more.", RuntimeWarning, stacklevel=3)
 
     def _particles_near(self):
         """Positions and radii of all particles near the inlet, on every rank."""

@@ -85,7 +85,11 @@ class Probe:
 
     def restore(self, state: dict[str, dict]) -> None:
         """Take it back."""
-        same = state["same"]
+        same, shapes = state["same"], [np.shape(values) for values in self.values()]
+        if sum(name.startswith("values_") for name in same) != len(shapes) or len(same["time"]) and any(
+                same[f"values_{k}"].shape[1:] != shape for k, shape in enumerate(shapes)):
+            raise ValueError("The probe of the checkpoint had other functions or another number of points; give Probe those "
+                             "that it had when it was saved.")
         self.rows = [(float(t), *(same[f"values_{k}"][n] for k in range(len(self.functions))))
                      for n, t in enumerate(same["time"])]
 

@@ -190,7 +190,11 @@ class ParticleProfile:
 
     def restore(self, state: dict[str, dict]) -> None:
         """Take them back."""
-        self._sums, self.duration = np.array(state["same"]["sums"]), float(state["same"]["duration"])
+        sums = np.array(state["same"]["sums"])
+        if sums.shape != self._sums.shape:
+            raise ValueError(f"The profile has {len(self.middle)} slabs, that of the checkpoint had {sums.shape[1]}; give "
+                             "ParticleProfile the edges that it had when it was saved.")
+        self._sums, self.duration = sums, float(state["same"]["duration"])
 
 
 class PlaneFlux:

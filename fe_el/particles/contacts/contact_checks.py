@@ -21,6 +21,8 @@ class ContactChecks:
             if isinstance(wall, type) or not hasattr(wall, "motion"):
                 raise ValueError(f"{wall!r} is no wall; use FacetWalls, PlaneWall, CylinderWall, SurfaceWall or "
                                  "(facet_tags, groups).")
+            if sum(wall is other for other in self.walls) > 1:
+                raise ValueError(f"The walls hold {wall!r} more than once; give each wall once.")
             if wall.kind == SURFACE and self.particles.mesh.topology.dim == 2:
                 raise ValueError("A SurfaceWall is of triangles, the mesh of two dimensions; use planes or facets.")
             if wall.kind == FACETS:

@@ -33,6 +33,8 @@ class RollingFriction:
 
     def __init__(self, coefficient: ArrayLike, elastic_plastic: bool = False, torsion: bool = False) -> None:
         require_not_negative("rolling friction", coefficient)
+        if not np.size(coefficient):
+            raise ValueError("The rolling friction is empty; give a number, or a symmetric table (materials, materials).")
         self.torsion = bool(torsion)
         self.coefficient, self.elastic_plastic = np.asarray(coefficient, float), bool(elastic_plastic)
 
@@ -129,7 +131,7 @@ class LinearSpringDashpot(_Law):
         require_positive("stiffness", stiffness)
         restitution, friction = numbers("restitution", restitution), numbers("friction", friction)
         surface_energy = numbers("surface energy", surface_energy)
-        if numbers("cohesion", cohesion).any():
+        if numbers("cohesion", cohesion).any() or not np.size(cohesion):
             raise ValueError(f"The linear law has cohesion {cohesion!r} J/m^3; an attraction by the contact area only takes "
                              "from a linear stiffness and nothing sticks. Give surface_energy= [J/m^2], or use a "
                              "HertzMindlin law.")

@@ -116,6 +116,11 @@ class SavedContacts:
         if same["shape"].shape != self.lists.shape.shape:
             raise ValueError(f"The contacts have {len(walls)} walls, those of the checkpoint had {len(same['turned'])}; "
                              "give Contacts the walls that they had when it was saved, and change contacts.walls then.")
+        for name in ("pairs", "facets", "shapes"):
+            if len(state[name]["spring"]) and state[name]["spring"].shape[1] != self.lists.width:
+                rolled = "rolling friction" if self.lists.width == 4 else "no rolling friction"
+                raise ValueError(f"The contacts of the checkpoint had {rolled}, these have not the same; give Contacts a "
+                                 "law of the kind that they had when it was saved.")
         self.lists.restore(state)
         self.step, self.time = int(same["step"]), float(same["time"])
         self.largest_overlap = float(same["largest_overlap"])
