@@ -3,34 +3,8 @@ import numpy as np
 import pytest
 
 import fe_el
-
-RHO, RHO_P, H, G = 1000.0, 2500.0, 1e-3, 9.81
-
-
-def fall(ratio, reynolds, seed, cells=(8, 8, 8), travel=0.0, step=0.5, start=0.0, places=None):
-    """Mean speed of spheres of ``ratio`` cells, one or at ``places`` in a unit box, relative to the mixture's and over the
-    terminal one, two-way in a periodic box; mean of the last quarter."""
-    places = np.random.default_rng(seed).uniform(0.3, 0.7, (1, 3)) if places is None else places
-    d, length, down = ratio * H, np.array(cells) * H, np.array([0, 0, -G])
-    drag = float(fe_el.drag_laws.schiller_naumann(np.zeros(1), np.array([reynolds]))[0])
-    mu = np.sqrt((RHO_P - RHO) * G * d ** 3 * RHO / (18 * reynolds * drag))
-    terminal, solid = reynolds * mu / (RHO * d), len(places) * np.pi / 6 * d ** 3 / length.prod()
-    balance = -(solid * RHO_P + (1 - solid) * RHO) * down
-    dt = min(step * H * H * RHO / mu, (0.02 if not travel else 0.1) * H / terminal)
-    mesh, _ = fe_el.periodic_box(length, cells)
-    water = fe_el.VolumeAveragedNavierStokes(mesh, None, RHO, mu, down, 1e-9, mean_pressure_gradient=balance)
-    beads = fe_el.Particles(mesh, RHO_P, down)
-    beads.insert_at(places * length, d, velocity=(0.0, 0.0, -start * terminal))
-    forces = [fe_el.Drag("schiller_naumann"), fe_el.PressureGradient(balance), fe_el.UndisturbedVelocity()]
-    coupling, speed = fe_el.Coupling(beads, water.velocity, water.pressure, RHO, mu, forces), []
-    for _ in range(int(travel * H / terminal / dt) or max(60, int(4 * H * H * RHO / mu / dt))):
-        coupling.to_fluid(dt)
-        water.advance(dt, coupling.fields)
-        coupling.to_particles(dt)
-        beads.advance(dt)
-        assert coupling.momentum_imbalance < 1e-12
-        speed.append((water.momentum()[2] / (RHO * length.prod()) - beads.velocity[:, 2].mean()) / terminal)
-    return float(np.mean(speed[-len(speed) // 4:]))
+from demos.benchmarks import undisturbed_velocity
+from demos.benchmarks.undisturbed_velocity import RHO_P, fall, images
 
 
 @pytest.mark.parametrize("ratio", [0.1, 0.5, 1.0])
@@ -89,6 +63,22 @@ def test_a_dilute_suspension_settles_as_its_law_says(reynolds):
     """A thousandth of spheres half as large as a cell, over nine cells."""
     places = np.random.default_rng(2).uniform(0, 1, (12, 3))
     assert fall(0.5, reynolds, 0, (8, 8, 12), 9.0, start=1.0, places=places) == pytest.approx(1.0, abs=0.03)
+
+
+def test_images_of_a_force_that_creeps_and_of_one_that_outruns_them():
+    """At rest long since those of Hasimoto, 2.837/(6 pi mu L); over a short way none."""
+    assert images(8.0, 1e3, 1e3) * 1e3 == pytest.approx(-2.837 / (6 * np.pi * 8.0), rel=0.02)
+    assert abs(images(24.0, 1.0, 2.0)) < 0.02 * 2.837 / (6 * np.pi * 24.0)
+
+
+def test_many_places(tmp_path):
+    """Two places of two spheres: the errors are those of the single falls, and the summary's the worst and the mean."""
+    numbers = undisturbed_velocity.main((20.0,), (0.1, 0.5), 2, str(tmp_path), progress=False)
+    rows = np.loadtxt(tmp_path / "undisturbed_velocity.csv", delimiter=",", skiprows=1)
+    exact = undisturbed_velocity.expected(0.5, 20.0, 12)
+    found = [fall(0.5, 20.0, seed, (12, 12, 12), 9.0, start=1.0) - exact for seed in range(2)]
+    assert rows[2:, 3] == pytest.approx(found, abs=1e-9) and exact == pytest.approx(1.0, abs=2e-3)
+    assert numbers["mean_re_20_ratio_0_5"] == pytest.approx(np.mean(found)) and np.abs(rows[:, 3]).max() < 0.05
 
 
 @pytest.mark.parametrize("step", [0.05, 5.0])

@@ -10,7 +10,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fe_el.compiled.cache import njit
-from fe_el.parallel.exchange import raise_everywhere, sums_of
+from fe_el.parallel.exchange import raise_everywhere, sums_of, total_of
 
 ROUND_OFF = 1e-13  # of what a cell may hold
 ITERATIONS = 5000  # of conjugate gradients, for one set of full cells
@@ -181,7 +181,7 @@ class Spill:
             g = np.empty((len(near), cells.neighbour.shape[1]))
             _conductance(cells.barycentric, cells.neighbour, cells.volume, near, g)
             new = _fill_neighbours(cells.neighbour, near, g, self.potential, self.content, self.limit, full)
-            if not self.halo.comm.allreduce(new):
+            if not total_of(self.halo.comm, new):
                 return True
 
     def _beside(self, rows):
@@ -206,7 +206,7 @@ class Spill:
                 return True
             _turn(rows, ratio, residual, diagonal, direction)
             self.halo.forward(direction)
-            slope = comm.allreduce(_outflow(neighbour, rows, g, direction, change))
+            slope = total_of(comm, _outflow(neighbour, rows, g, direction, change))
             if not slope > 0:
                 return False
             _descend(rows, old[0] / slope, direction, change, diagonal, self.limit, s, residual, sums)
@@ -215,7 +215,7 @@ class Spill:
         return False
 
     def _sum(self, sums):
-        return self.halo.comm.allreduce(sums.copy()) if self.halo.comm.size > 1 else sums.copy()
+        return total_of(self.halo.comm, sums.copy())
 
     def _record(self):
         """Moves that make the fluxes, in rounds: a rank makes all it can before it waits for what others move."""
@@ -231,7 +231,7 @@ class Spill:
             m = _ready_moves(cells.neighbour, rows, g, s, self.content, done, source, target, fraction)
             self.moves.append((source[:m].copy(), target[:m].copy(), fraction[:m].copy()))
             self.halo.forward(done)
-            left = self.halo.comm.allreduce(int((done[rows] == 0).sum()))
+            left = total_of(self.halo.comm, int((done[rows] == 0).sum()))
 
     def __call__(self, content):
         """Contents (cells, k) after the moves; halo values complete before and after."""

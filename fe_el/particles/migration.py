@@ -2,7 +2,7 @@
 import numpy as np
 
 from fe_el.mesh import cell_mesh as _mesh
-from fe_el.parallel.exchange import largest_of, move, raise_everywhere, total_of
+from fe_el.parallel.exchange import largest_of, move, raise_everywhere, sums_of, total_of
 from fe_el.particles import location, motion
 from fe_el.particles.arrays import ParticleArrays
 from fe_el.particles.open_boundaries import OpenBoundaries, Rebounds
@@ -75,9 +75,9 @@ class Migration(ParticleArrays):
         for _ in range(MOST_REBOUNDS + 1):
             bad = self._still_lost(bad)
             turned = 0 if self._rebounds is None else self._rebounds.turn_back(self.position, self.velocity, bad)
-            if not self.comm.allreduce(turned):
+            if not total_of(self.comm, turned):
                 break
-        gone = self.comm.allreduce(np.array([len(self._gone), self.mass[self._gone].sum()]))
+        gone = sums_of(self.comm, len(self._gone), self.mass[self._gone].sum())
         self.left, self.left_mass = self.left + int(gone[0]), self.left_mass + gone[1]
         message = None
         if len(bad):
