@@ -27,6 +27,7 @@ from fe_el.coupling.schemes import scheme_of
 from fe_el.coupling.smoothing import FixedValues
 from fe_el.coupling.undisturbed import UndisturbedVelocity
 from fe_el.dolfinx_api import scalar_space, vector_space
+from fe_el.nodes.nodal_kernels import same
 from fe_el.nodes.work_arrays import WorkArrays
 from fe_el.parallel.exchange import total_of
 
@@ -211,8 +212,7 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
             Collective.
         """
         self._dt = positive_number("time step", dt)
-        tick = self._begin()
-        p = self.particles
+        p, tick = self.particles, self._begin()
         if (self.added is None or self.added.expected) and p.next_id != self.checked and self._too_light():
             raise ValueError(f"Particles came that are too light for a pressure force without added mass in a fluid of "
                              f"{self.density:g} kg/m^3; give forces=[..., AddedMass()].")
@@ -240,9 +240,10 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
         if not p.all_held():
             self._mapped = None
             return False
-        same = last is not None and last[0] is p.cells and all(map(np.array_equal, last[1:], (p.position, p.diameter)))
-        self._mapped = last if same else (p.cells, p.position.copy(), p.diameter.copy())
-        return total_of(self.comm, int(same)) == self.comm.size
+        now = p.position.ravel(), p.diameter
+        kept = bool(last) and last[0] is p.cells and all(len(a) == len(b) and same(a, b) for a, b in zip(last[1:], now))
+        self._mapped = last if kept else (p.cells, *(a.copy() for a in now))
+        return total_of(self.comm, int(kept)) == self.comm.size
 
     def _map(self, dt):
         """Shares of the cells in every particle, and the void fraction."""
@@ -274,8 +275,7 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
             raise ValueError(f"The time step of to_particles is {dt}, that of to_fluid before was {self._dt}; call "
                              "to_fluid(dt) first, with the same step.")
         self._check_mapped()
-        tick = self._begin()
-        p, d, n = self.particles, self.dimension, self.particles.cells.owned
+        tick, p, d, n = self._begin(), self.particles, self.dimension, self.particles.cells.owned
         phi, a, b = self.values[0][:n], self.values[1][:n], self.values[2].reshape(-1, d)[:n]
         u = self.step_mean()
         slope = np.zeros((n, 0)) if self.pressure_force is None or self.gradient_mean is None else self.gradient_mean()
