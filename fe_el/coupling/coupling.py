@@ -18,7 +18,7 @@ from fe_el.coupling.forces import Buoyancy, Drag, PressureGradient
 from fe_el.coupling.ledger import Ledger
 from fe_el.coupling.lift_and_torque import Spin
 from fe_el.coupling.light_particles import LightParticles
-from fe_el.coupling.maps import Maps
+from fe_el.coupling.maps import OTHER_PARTICLES, Maps
 from fe_el.coupling.near_particles import NearParticles
 from fe_el.coupling.open_forces import OpenForces
 from fe_el.coupling.over_filled import Spill
@@ -274,7 +274,8 @@ class Coupling(Maps, DragExchange, Ledger, OpenForces, LightParticles, SavedCoup
         if positive_number("time step", dt) != self._dt:
             raise ValueError(f"The time step of to_particles is {dt}, that of to_fluid before was {self._dt}; call "
                              "to_fluid(dt) first, with the same step.")
-        self._check_mapped()
+        if self.layout != self.particles.layout:  # alike on all ranks
+            raise RuntimeError(OTHER_PARTICLES)
         tick, p, d, n = self._begin(), self.particles, self.dimension, self.particles.cells.owned
         phi, a, b = self.values[0][:n], self.values[1][:n], self.values[2].reshape(-1, d)[:n]
         u = self.step_mean()

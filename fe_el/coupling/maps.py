@@ -6,6 +6,8 @@ from numpy.typing import ArrayLike
 
 from fe_el.parallel.exchange import raise_everywhere
 
+OTHER_PARTICLES = "Particles came, left or changed rank since they were mapped; call to_fluid(dt) first."
+
 
 class Maps:
     """The maps of a coupling, which has ``particles``, ``mapping``, ``smoothing``, ``near``, ``linear``, ``spill``,
@@ -53,9 +55,7 @@ class Maps:
 
     def _check_mapped(self):
         """The shares must be those of the particles that are here now."""
-        message = None if self.layout == self.particles.layout else \
-            "Particles came, left or changed rank since they were mapped; call to_fluid(dt) first."
-        raise_everywhere(self.comm, RuntimeError, message)
+        raise_everywhere(self.comm, RuntimeError, None if self.layout == self.particles.layout else OTHER_PARTICLES)
 
     def _owned_volume(self):
         cells = self.particles.cells
