@@ -38,6 +38,7 @@ def arguments():
     p.add_argument("--slice", type=float, default=0.2, help="fraction of the bed's width")
     p.add_argument("--settle-time", type=float, default=0.2, help="time in which the beads settle without gas [s]")
     p.add_argument("--steps", type=int, default=12, help="steps of 1 ms that are measured; half as many go before them")
+    p.add_argument("--scenes", nargs="+", default=(), help="names of those to measure; absent: all")
     p.add_argument("--output", default="out/leaving_out_by_hand", help="folder for results")
     return p
 
@@ -160,18 +161,18 @@ def measured(scene, steps):
     return np.mean(whole), np.mean(inside), called, ratio, ledger.seconds, calls
 
 
-def main(slice=0.2, settle_time=0.2, steps=12, output="out/leaving_out_by_hand", progress=True):
-    """Measure every scene and return the summary; on one rank."""
+def main(slice=0.2, settle_time=0.2, steps=12, output="out/leaving_out_by_hand", scenes=(), progress=True):
+    """Measure the named scenes, or all, and return the summary; on one rank."""
     logging.getLogger().setLevel(logging.WARNING)
     start, (position, diameter) = time.perf_counter(), leaving_out.settled(slice, settle_time)
-    scenes = {name: lambda name=name: leaving_out.Scene(slice, position, diameter, **leaving_out.VARIANTS[name])
-              for name in OF_BED}
+    every = {name: lambda name=name: leaving_out.Scene(slice, position, diameter, **leaving_out.VARIANTS[name])
+             for name in OF_BED}
     cells, many = 12 * (slice / 0.2) ** (1 / 3), slice / 0.2  # as full at any size
-    scenes |= {"periodic without walls": lambda: Box(3, round(cells), len(position) // 2),
-               "two dimensions": lambda: Box(2, round(60 * many ** 0.5), int(4000 * many))}
+    every |= {"periodic without walls": lambda: Box(3, round(cells), len(position) // 2),
+              "two dimensions": lambda: Box(2, round(60 * many ** 0.5), int(4000 * many))}
     rows, kernels, numbers = [], [], {}
-    for name, scene in tqdm(scenes.items(), disable=not progress):
-        whole, inside, called, ratio, ledger, calls = measured(scene(), steps)
+    for name in tqdm(scenes or every, disable=not progress):
+        whole, inside, called, ratio, ledger, calls = measured(every[name](), steps)
         rows.append((name, whole, inside, whole - inside, whole / inside, ratio, whole / called, ledger / whole))
         kernels += [(name, kernel, count) for kernel, count in sorted(calls.items())]
         key = name.replace(":", "").replace(",", "").replace(" ", "_").replace("-", "_")
