@@ -54,8 +54,33 @@ def add_divergence(cells, phi, answer, seen, u, gain, v, flux, out):
 
 
 @by_dimension
+def resist(dofs, seen, drag):
+    """Add drag as transport has it to the nodes [kg/s]."""
+    part, reach = seen.part, seen.reach
+    share = 1.0 / M
+    for c in range(len(dofs)):
+        for i in range(M):
+            drag[dofs[c, i]] += share * reach[c] * part[c]
+
+
+@by_dimension
+def mobilities(cells, mass1, phi, answer, seen, times, weight):
+    """The flux (times volume) that minus a pressure gradient makes in each cell without viscosity between nodes, whose
+    inertia and drag let them follow a gain for ``times`` [s]."""
+    dofs, volume, stay, part, mobility, reach = cells.dofs, cells.volume, seen.stay, seen.part, seen.mobility, seen.reach
+    to_velocity, to_gradient = answer.to_velocity, answer.to_gradient
+    share = 1.0 / M
+    for c in range(len(dofs)):
+        mean = 0.0
+        for i in range(M):
+            mean += times[dofs[c, i]]
+        whole = stay[c] + share * mean * (1.0 - stay[c] * part[c]) * reach[c] / mass1[c]
+        weight[c] = volume[c] * ((phi[c] + to_velocity[c]) * mobility[c] * whole + to_gradient[c])
+
+
+@by_dimension
 def power_of(cells, given, stress, u, v, tolerance):
-    """Power of drag and sources, of viscosity, and a little of each force that may cancel others: it is rounding [W]."""
+    """Power of drag and sources, of viscosity, and the part ``tolerance`` of that of forces that cancel [W]."""
     dofs, grad, volume, h = cells.dofs, cells.gradient, cells.volume, cells.size
     part, drag, source, body = given.part, given.drag, given.source, given.body
     varies, power = len(body) > 1, 0.0

@@ -2,8 +2,11 @@
 import numpy as np
 
 from fe_el.fluid import coupled_kernels, node_kernels
+from fe_el.fluid.pressure_equation import poisson_matrix
 from fe_el.fluid.records import SolidsAnswer
 from fe_el.nodes.flexible_gmres import flexible_gmres
+from fe_el.nodes.linear_solver import LinearSolver
+from fe_el.nodes.nodal_matrix import NodalMatrix
 from fe_el.parallel.messages import total
 
 ENOUGH = 0.05  # divergence that may be left: root of its power against viscosity over that of drag, sources and viscosity
@@ -21,10 +24,10 @@ class CoupledPressure:
         K z = what v lacks of it at z = 0,    K = D A^-1 G,
 
     A being transport with drag, and what cells have beside their nodes. To apply K takes a transport solve of each
-    component. Its inverse is nearly that of the exchange's Poisson matrix and the viscosity over the mass matrix (Cahouet &
-    Chabard, Int. J. Numer. Meth. Fluids 8, 1988, 869). The first is solved for, to the fluid's tolerance: a cycle of
-    multigrid would depend on how the mesh is parted, and with it what few iterations find. A step that the last pressure
-    fits takes no iteration. Mass and momentum are exact whatever is left: exchange closes them.
+    component. Its inverse is nearly that of a Poisson matrix, of what cells and nodes let pass by inertia and drag, and the
+    viscosity over the mass matrix (Cahouet & Chabard, Int. J. Numer. Meth. Fluids 8, 1988, 869). The first is solved for, to
+    the tolerance of the fluid: a cycle of multigrid would depend on how the mesh is parted, and with it what few iterations find.
+    A step that the last pressure fits takes no iteration. Mass and momentum are exact whatever is left: exchange closes them.
 
     Args:
         fluid (VolumeAveragedNavierStokes): with its boundary conditions.
@@ -32,7 +35,9 @@ class CoupledPressure:
 
     def __init__(self, fluid):
         self.fluid, self.solver = fluid, fluid.transport_solver
-        self.at_rest = np.zeros((fluid.nodes, fluid.dimension))
+        self.at_rest, self.none = np.zeros((fluid.nodes, fluid.dimension)), np.zeros((2, fluid.nodes, 1))
+        self.held = np.flatnonzero(fluid.fixed_pressure[:fluid.owned_nodes])
+        self.entries, self.solvers = None, ()  #: of the preconditioner: none until it is needed
 
     def correct(self, step, seen, new, rhs, system):
         """Change the gain of the step and the ``new`` nodal velocity, and with them ``rhs`` and ``system`` of transport.
@@ -65,7 +70,8 @@ class CoupledPressure:
             air.node_halo.forward(new)
 
     def _lack(self, new):
-        """What owned nodes lack of continuity [m^3/s], and how large that is against the power of all that acts."""
+        """What owned nodes lack of continuity [m^3/s], and how large that is against the power of all that acts, with what
+        solvers leave of forces that cancel."""
         air, step, d, own = self.fluid, self.step, self.fluid.dimension, self.fluid.owned_nodes
         u = air.work.empty("foreseen_nodes", air.nodes, d)
         v, flux = self._cells("foreseen", "flux_of_solids")
@@ -79,7 +85,7 @@ class CoupledPressure:
         lack = self._divergence(u, step.memory.gain, v, flux, out)
         self.viscous = air.work.empty("viscous_weight", own)
         left = coupled_kernels.power_of_lack(lack, air.viscosity * air.density, step.nodal_mass_before, self.viscous)
-        power = coupled_kernels.power_of(air.cells, step.acting, step.stress, u, v, air.tolerance)
+        power = coupled_kernels.power_of(air.cells, step.acting, step.stress, u, v, air.tolerance / ENOUGH ** 2)
         return lack, np.sqrt(total(air.ranks, left) / max(total(air.ranks, power), 1e-300))
 
     def _cells(self, *names):
@@ -117,16 +123,28 @@ class CoupledPressure:
         return -self._divergence(u, gain, *self._cells("foreseen"), self.flux, air.work.zeros("lack", air.nodes))
 
     def _prepare(self):
-        """The Poisson matrix of the exchange."""
-        air, acting, volume = self.fluid, self.step.acting, self.fluid.volume
-        mobility = acting.part / (air.density * self.step.after / self.step.dt + acting.drag)
-        through = self.step.after + self.answer.to_velocity
-        air.pressure_equation.assemble(volume * (through * mobility + self.answer.to_gradient))
+        """The Poisson matrix of what cells and nodes let pass without viscosity between nodes."""
+        air, step = self.fluid, self.step
+        if self.entries is None:
+            self.entries = NodalMatrix(air.space, air.dofs)
+            self.poisson = LinearSolver(self.entries.matrix, "coupled", "cg", "gamg", air.tolerance, not air.outlets)
+            self.solvers = (self.poisson,)
+        times, weight = air.work.zeros("nodal_times", air.nodes), air.work.empty("coupled_weight", air.num_cells)
+        coupled_kernels.resist(air.dofs, self.seen, times)
+        air.complete(times)
+        mass = step.nodal_mass_before
+        times[:] = step.dt * mass / np.maximum(mass + step.dt * times, 1e-300)
+        coupled_kernels.mobilities(air.cells, step.masses.after, step.after, self.answer, self.seen, times, weight)
+        self.entries.values.fill(0.0)
+        poisson_matrix(air.dofs, self.entries.place, air.gradient, weight, self.entries.values)
+        self.entries.fix(air.fixed_pressure, *self.none)
+        self.entries.assemble()
+        self.poisson.new_values()
 
     def _precondition(self, lack):
         """About K^-1 times a lack."""
-        z = self.fluid.pressure_equation.solver.solve(lack, np.zeros_like(lack)) + self.viscous * lack
-        z[self.fluid.pressure_equation.held_owned] = 0.0
+        z = self.poisson.solve(lack, np.zeros_like(lack)) + self.viscous * lack
+        z[self.held] = 0.0
         return z
 
     def _dot(self, a, b):

@@ -1,4 +1,6 @@
 """Transport with drag inside, for steps that are long against the viscous fading of what one cell alone feels."""
+import numpy as np
+
 from fe_el.fluid import drag_kernels
 from fe_el.fluid.coupled_pressure import CoupledPressure
 from fe_el.fluid.records import Drag, Faded
@@ -45,6 +47,8 @@ class DragInTransport:
     def add(self, step, load):
         """Add to the matrix of transport and its load (nodes, d)."""
         air, work, memory, held = self.fluid, self.fluid.work, step.memory, self.fluid.pressure_equation.held
+        if air.step == 1:
+            self._balance_body_force(step.acting)
         pressure = work.empty("known_pressure", air.nodes)
         pressure[:] = air.pressure.x.array
         pressure[held] = air.pressure_equation.at_outlets()[held]
@@ -52,6 +56,13 @@ class DragInTransport:
         drag_kernels.share_of_viscosity(step.velocity, air.h, self.rate, step.dt, memory.left, memory.lag, self.seen.split)
         drag_kernels.drag_in_transport(air.cells, step.numbers, step.masses, air.transport_matrix.entries, step.acting,
                                        self.seen, step.velocity, step.nodal_velocity, memory, load)
+
+    def _balance_body_force(self, acting):
+        """The pressure before the first step is that which a body force makes in fluid at rest."""
+        air, load = self.fluid, self.fluid.nodal_zeros(())
+        force = (acting.part * air.volume / air.density)[:, None] * acting.body
+        np.add.at(load, air.dofs, np.einsum("cik,ck->ci", air.gradient, force))
+        air.pressure_equation.solve(acting.part * air.volume / air.density, load)
 
     def correct(self, step, new, rhs, system):
         """Give the ``new`` nodal velocity the pressure of continuity, with its ``rhs`` and ``system``."""

@@ -36,7 +36,6 @@ class PressureEquation:
 
     def __init__(self, fluid):
         self.fluid, self.held = fluid, np.flatnonzero(fluid.fixed_pressure)
-        self.held_owned = self.held[self.held < fluid.owned_nodes]
         self._weight, self._values = np.full(fluid.num_cells, np.nan), np.full(fluid.nodes, np.nan)  # equal to none
         self._misses = np.zeros(1 + fluid.state.past_pressures.shape[1])
         self._boundary, self._lift = np.zeros((fluid.nodes, 1)), np.zeros((fluid.nodes, 1))

@@ -127,7 +127,8 @@ class VolumeAveragedNavierStokes(Transport, Projection, Ledger, SavedFluid):
     def _setup(self):
         """Matrices, solvers and fixed nodes, once the boundary conditions are known."""
         if self._solvers:
-            for solver in (*self._solvers, *([self._closed_flux.solver] if self._closed_flux else ())):
+            for solver in (*self._solvers, *self.drag_in_transport.coupled_pressure.solvers,
+                           *([self._closed_flux.solver] if self._closed_flux else ())):
                 solver.free()
         self.ready, self.as_new = True, False
         self.transport_matrix = NodalMatrix(self.space, self.dofs)
