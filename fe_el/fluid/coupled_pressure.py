@@ -23,11 +23,11 @@ class CoupledPressure:
 
         K z = what v lacks of it at z = 0,    K = D A^-1 G,
 
-    A being transport with drag, and what cells have beside their nodes. To apply K takes a transport solve of each
+    A being transport with drag, and what cells have beside their nodes. Applying K takes a transport solve of each
     component. Its inverse is nearly that of a Poisson matrix, of what cells and nodes let pass by inertia and drag, and the
-    viscosity over the mass matrix (Cahouet & Chabard, Int. J. Numer. Meth. Fluids 8, 1988, 869). The first is solved for, to
-    the tolerance of the fluid: a cycle of multigrid would depend on how the mesh is parted, and with it what few iterations find.
-    A step that the last pressure fits takes no iteration. Mass and momentum are exact whatever is left: exchange closes them.
+    viscosity over the mass matrix (Cahouet & Chabard, Int. J. Numer. Meth. Fluids 8, 1988, 869). The first is solved, to
+    the fluid's tolerance: a cycle of multigrid depends on how the mesh is parted, and the few iterations with it. A step that
+    the last pressure fits takes none. Mass and momentum are exact whatever is left: exchange closes them.
 
     Args:
         fluid (VolumeAveragedNavierStokes): with its boundary conditions.
