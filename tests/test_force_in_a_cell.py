@@ -53,6 +53,24 @@ def test_a_force_or_a_drag_that_sets_in_is_answered_by_viscosity_in_the_first_st
         assert mobility(number, steps, 6, drag_coefficient) == pytest.approx(steady, rel=0.06)
 
 
+def test_viscosity_may_change_between_steps():
+    """A fluid at rest that gets another viscosity moves as one that has had it before."""
+    found = []
+    for first in (50.0, 1.0):
+        mesh, tags = fe_el.box((1.0, 1.0, 1.0), (4, 4, 4))
+        air = fe_el.VolumeAveragedNavierStokes(mesh, tags, density=1.0, viscosity=first)
+        air.set_no_slip(tuple(range(1, 7)))
+        air.advance(0.05)
+        air.viscosity = 50.0
+        scalar, vector = scalar_space(mesh, "DG", 0), vector_space(mesh, "DG", 0)
+        void, drag, source = fem.Function(scalar), fem.Function(scalar), fem.Function(vector)
+        void.x.array[:], source.x.array[2] = 1.0, 1.0
+        for _ in range(3):
+            air.advance(0.05, (void, drag, source))
+        found.append(air.velocity.x.array.copy())
+    assert np.abs(found[0]).max() > 0 and np.allclose(*found, rtol=1e-6, atol=1e-9 * np.abs(found[0]).max())
+
+
 def test_a_force_that_fits_takes_no_iteration_of_the_pressure():
     """But the step in which it sets in, which is solved so far that the next have nothing to do."""
     iterations = []

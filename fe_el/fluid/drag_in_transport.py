@@ -34,14 +34,13 @@ class DragInTransport:
 
     def __init__(self, fluid):
         self.fluid = fluid
-        self.rate = VISCOUS[fluid.dimension - 2] * fluid.viscosity / fluid.density  # times 1/h^2
-        self.coupled_pressure = CoupledPressure(fluid)
-        self.fastest = self.rate * largest(fluid.ranks, float((1.0 / fluid.h ** 2).max(initial=0.0)))
+        self.coupled_pressure, self.rate = CoupledPressure(fluid), 0.0  # of fading by viscosity, times h^2 [m^2/s]
+        self.finest = largest(fluid.ranks, float((1.0 / fluid.h ** 2).max(initial=0.0)))
 
     def start(self, step):
         """Whether the step has drag or sources, and is long enough."""
-        air = self.fluid
-        step.drag_inside = not air.upwind and self.fastest * step.dt > FASTEST and bool(
+        air, self.rate = self.fluid, VISCOUS[self.fluid.dimension - 2] * step.numbers.nu  # which may change between steps
+        step.drag_inside = not air.upwind and self.rate * self.finest * step.dt > FASTEST and bool(
             largest(air.ranks, float(drag_kernels.any_of(step.drag, step.source))))
 
     def add(self, step, load):
