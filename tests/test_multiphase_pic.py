@@ -62,7 +62,7 @@ def test_a_long_step_over_fills_nothing_that_a_short_one_does_not(dimension):
         force = sum(wall.force for wall in packing.walls)
         total = grains.momentum() - before - 1e-2 * (weight / GRAVITY * grains.gravity - force)
         assert np.abs(total).max() < 1e-12 * weight and packing.momentum_imbalance < 1e-12
-        assert packing.max_solid_fraction < 0.7 and energy(grains) < last + 1e-3 * start
+        assert packing.max_solid_fraction < 0.7 and energy(grains) < last + 2e-3 * start
     assert packing.steps_largest > 5 and packing.steps_last < packing.steps_largest / 3
 
 
@@ -231,6 +231,10 @@ def test_what_is_too_fast_for_parts_ends_in_a_sentence():
     p = fe_el.Particles(mesh, RHO)
     p.insert_at([[0.3, 0.4]], 0.1, velocity=(1e9, 0.0))
     with pytest.raises(FloatingPointError, match="use a smaller step"):
+        p.advance(1e-2, fe_el.MultiphasePIC(p, walls=(tags, (1, 2, 3, 4))))
+    p.velocity[:] = 0.0
+    p.force[:] = np.nan
+    with pytest.raises(FloatingPointError, match="cross inf cells"):
         p.advance(1e-2, fe_el.MultiphasePIC(p, walls=(tags, (1, 2, 3, 4))))
 
 

@@ -215,7 +215,7 @@ def damping_of(sums, solid, pressure, restitution, packing, dt, out):
 @njit(fastmath=FAST)
 def crossing_rate(barycentric, cell, velocity, force, inertia, gravity, held, dt):
     """Largest rate at which the hat functions at a particle change [1/s], with its velocity of now or of free flight after
-    dt: over 1/rate it goes through a cell."""
+    dt: over 1/rate it goes through a cell. Infinite where one is no number."""
     largest = 0.0
     for i in range(len(cell)):
         if held[i]:
@@ -225,6 +225,8 @@ def crossing_rate(barycentric, cell, velocity, force, inertia, gravity, held, dt
             for k in range(3):
                 now += barycentric[cell[i], v, k] * velocity[i, k]
                 change += barycentric[cell[i], v, k] * dt * (gravity[k] + force[i, k] / inertia[i])
+            if not abs(now) + abs(change) < np.inf:
+                return np.inf
             largest = max(largest, abs(now), abs(now + change))
     return largest
 
