@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from fe_el.checks import (
     finite_vector,
+    numbers,
     of_kind,
     positive_number,
     require_positive,
@@ -180,7 +181,7 @@ class Inlet:
         mass_rate = positive_number("mass rate", mass_rate)
         if not callable(diameter) or isinstance(diameter, type):
             require_positive("diameter", diameter)
-            if not np.size(diameter):
+            if not numbers("diameter", diameter).size:
                 raise ValueError("The diameter of an inlet is empty; give a number, several to draw from, or a function.")
         tries, seed = whole_number("number of tries", tries, 1), seed_number(seed)
         for name in kind:

@@ -194,7 +194,7 @@ class ParticleProfile:
         if sums.shape != self._sums.shape:
             raise ValueError(f"The profile has {len(self.middle)} slabs, that of the checkpoint had {sums.shape[1]}; give "
                              "ParticleProfile the edges that it had when it was saved.")
-        self._sums, self.duration = sums, float(state["same"]["duration"])
+        self._sums[:], self.duration = sums, float(state["same"]["duration"])
 
 
 class PlaneFlux:
