@@ -55,13 +55,14 @@ def main(kills=20, signal_name="SIGKILL", seed=1, output="out/kill_and_restart")
     while len(codes) < kills:
         run = start(folder / "broken")
         time.sleep(moments.uniform(0.0, whole))
-        if run.poll() is not None:  # it came to its end: begin again
+        tick = time.perf_counter()
+        if run.poll() is None:
+            os.kill(run.pid, getattr(signal, signal_name))
+        run.communicate()
+        if run.returncode == 0:  # it came to its end before that: begin again
             for file in (folder / "broken").iterdir():
                 file.unlink()
             continue
-        tick = time.perf_counter()
-        os.kill(run.pid, getattr(signal, signal_name))
-        run.communicate()
         slowest = max(slowest, time.perf_counter() - tick)
         codes.append(run.returncode)
     finish(folder / "broken")
