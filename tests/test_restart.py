@@ -187,8 +187,8 @@ def same_to_round_off(name, a, b):
 @pytest.mark.ranks
 @pytest.mark.parametrize("scene", SCENES)
 def test_a_restarted_run_is_the_run_that_wrote_the_checkpoint_to_the_last_bit(folder, scene):
-    """Of fluids on one and two ranks: from three on PETSc adds up what several ranks have in the order of their messages, in
-    matrices of sums and in multigrid, and collisions make some thousand of that round-off in 10 ms, in 20 steps."""
+    """Of fluids on one rank: on several PETSc adds up what they have in the order of their messages, in matrices of sums and
+    in multigrid (on two ranks seen with PETSc 3.22), and collisions make some thousand of that round-off in 10 ms."""
     whole = scene()
     whole.fill()
     whole.go(30)
@@ -196,7 +196,7 @@ def test_a_restarted_run_is_the_run_that_wrote_the_checkpoint_to_the_last_bit(fo
     again = scene(given=whole.given)
     fe_el.load_checkpoint(folder + "/a.h5", *again.parts)
     compare(whole.state(), again.state(), same_bits)
-    exact = whole.mesh.comm.size < 3 or not hasattr(whole, "air")
+    exact = whole.mesh.comm.size == 1 or not hasattr(whole, "air")
     for run in (whole, again):
         run.go(50 if exact else 20)
     compare(whole.state(), again.state(), same_bits if exact else same_to_round_off)
