@@ -56,7 +56,8 @@ class CoupledPressure:
             residual, size = self._lack(new)
             if not size > (ENOUGH if done else FITS):
                 return
-            self._prepare()
+            if not done:
+                self._prepare()
             weights, directions = flexible_gmres(self._apply, self._precondition, residual, self._dot, MOST,
                                                  max(ENOUGH / size, LEAST))
             step.pressure_iterations += len(directions)
